@@ -189,9 +189,8 @@ class Journal:
         try:
             if len(head) < len(before):
                 self._write_head(before, head)  # at most one entry is not named there
-            with whole_folder(
-                self.path / f"{serial:06d}"
-            ) as unfinished:  # fails if another process has made this entry
+            # fails if another process has made this entry
+            with whole_folder(self.path / f"{serial:06d}") as unfinished:
                 for name, content in files.items():
                     (unfinished / name).write_bytes(content)
                 for name in (MANIFEST, COPY):
@@ -219,10 +218,8 @@ class Journal:
             metrics, findings = (
                 m.get(name, {}) if m["event"] == "trial" else {} for name in (METRICS, "findings")
             )
-            row = {
-                name: m.get(name, "")
-                for name in ("serial", "time", "event", "trial", "learned", "source")
-            }
+            shown = ("serial", "time", "event", "trial", "learned", "source")
+            row = {name: m.get(name, "") for name in shown}
             row |= {"live": m["serial"] in live, "rms_error": metrics.get("error", "")}
             for name, _ in GATHERED:
                 row |= {f"{name}_{i}": value for i, value in enumerate(metrics.get(name, ()))}
@@ -239,11 +236,8 @@ class Journal:
                 break
         manifests, seals = [dict(m) for m, _ in found], [seal for _, seal in found]
         for serial in range(max(1, len(head)), len(manifests)):
-            if seals[serial - 1] and manifests[serial].get("previous") not in (
-                None,
-                "",
-                seals[serial - 1],
-            ):
+            allowed = (None, "", seals[serial - 1])
+            if seals[serial - 1] and manifests[serial].get("previous") not in allowed:
                 for k in range(serial - (serial > len(head)), serial + 1):  # either may be another
                     file = self.path / f"{k:06d}" / MANIFEST
                     wrong = f"{file} cannot be read ({OTHER})"

@@ -88,7 +88,12 @@ def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
     if _replaced(path).exists() and not path.exists():
         os.rename(_replaced(path), path)
     with _aside(path.parent, Path.mkdir) as unfinished:
-        yield unfinished
+        try:
+            yield unfinished
+        except OSError as error:
+            if error.errno and error.filename is None:  # as where the disk is full
+                error.filename = str(path)
+            raise
         for folder, _, names in os.walk(unfinished):
             for name in names:
                 to_disk(Path(folder, name))

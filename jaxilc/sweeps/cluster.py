@@ -296,13 +296,8 @@ def _found(precision: str, worker: Worker) -> Found:
         if limit is not None:  # Dask kills a worker beyond this share of the limit
             share = dask.config.get("distributed.worker.memory.terminate") or 1.0
             limit = max(0, int(share * limit) - psutil.Process().memory_info().rss)
-        return Found(
-            environment(),
-            socket.gethostname(),
-            capacity.host_bytes(),
-            capacity.device_bytes(),
-            limit,
-        )
+        free = capacity.host_bytes(), capacity.device_bytes()
+        return Found(environment(), socket.gethostname(), *free, limit)
 
 
 def call_host(

@@ -252,9 +252,8 @@ class Store:
 
     def _need_folder(self) -> None:
         if self.path is not None and not (self.path / METADATA).is_file():
-            raise FileNotFoundError(
-                f"{self.path} was removed while the sweep was running; run it again"
-            )
+            said = "was removed while the sweep was running; run it again"
+            raise FileNotFoundError(f"{self.path} {said}")
 
     def _keep(self, scheme: int, machines: slice, values: Mapping[str, np.ndarray]) -> None:
         # The files need not be read again for the dataset.
@@ -268,7 +267,7 @@ class Store:
 def open_dataset(path: str | Path) -> xr.Dataset:
     """The dataset of a store, complete or not.
 
-    Values that were not computed are NaN, -1 or False.
+    Values that were not computed, or not stored whole, are NaN, -1 or False.
 
     Raises FileNotFoundError where there is none, and ValueError naming what is damaged.
     """
@@ -284,8 +283,9 @@ def open_dataset(path: str | Path) -> xr.Dataset:
         for name, checksum in known["checksums"].items():
             if sum_of((path / name).read_bytes()) != checksum:
                 raise Damaged(f"{name} is not as it was written")
-        dataset = _opened(path).load()
-        _check_marks(dataset, known["configuration"], known["chunk"])
+        dataset = _opened(path)
+        dataset[DONE].load()  # before the numbers, since a sweep may be writing these
+        _keep_marked(dataset.load(), known["configuration"], known["chunk"])
     except Exception as error:  # any error of a codec on damaged bytes
         raise Damaged(_damaged(path, error)) from None
     return _labelled(dataset, known["configuration"])
@@ -305,7 +305,7 @@ def _harmful(path: Path) -> Iterator[tuple[Path, str]]:
             largest = of_each * math.prod(grid["chunk_shape"])
         except (OSError, ValueError, TypeError, KeyError):
             continue  # a damaged description is told, or mended, later
-        for chunk in filter(Path.is_file, file.parent.glob("c/**/*")):
+        for chunk in filter(Path.is_file, file.parent.glob("c/**/[0-9]*")):
             with open(chunk, "rb") as opened:
                 size = _unpacked_size(opened.read(18))
             if size > largest:
@@ -344,13 +344,19 @@ def _opened(store: Path | ZarrStore) -> xr.Dataset:
     return xr.open_zarr(store, chunks=None, consolidated=False, decode_times=False)
 
 
-def _check_marks(dataset: xr.Dataset, recipe: Mapping[str, Value], chunk: int) -> None:
-    """Raises Damaged for a chunk that does not agree with its mark."""
+def _keep_marked(dataset: xr.Dataset, recipe: Mapping[str, Value], chunk: int) -> None:
+    """Remove what was stored of chunks without a mark: a part of them, where a sweep was stopped.
+
+    Raises Damaged for a chunk that does not agree with its mark.
+    """
     variables = [name for name, array in dataset.data_vars.items() if "units" in array.attrs]
     for (scheme, number), mark in np.ndenumerate(dataset[DONE].values):
         machines = _machines(number, chunk, dataset.sizes["sample"])
         found = {str(name): dataset[name].values[scheme, machines] for name in variables}
-        if mark and not _is_mark(mark, recipe, found, (scheme, number)):
+        if not mark:
+            for values in found.values():
+                values[...] = UNFILLED[values.dtype.kind]
+        elif not _is_mark(mark, recipe, found, (scheme, number)):
             name = dataset["scheme"].values[scheme]
             raise Damaged(f"chunk {number} of scheme {name!r} is not as it was marked")
 

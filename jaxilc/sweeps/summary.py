@@ -130,8 +130,12 @@ def errors_of(dataset: xr.Dataset, metric: str) -> xr.DataArray:
 
     The axes of a grid, if there is one, are between scheme and sample. One point of an axis of
     trials has its own trials alone.
-    Raises ValueError for a dataset of a sweep that is not complete, and for one without a trial.
+    Raises ValueError for a dataset of a sweep that is not complete, and for one without a machine
+    or without a trial.
     """
+    if 0 in dataset[metric].shape:
+        sizes = dict(dataset[metric].sizes)
+        raise ValueError(f"the dataset has the sizes {sizes}; allowed is one of each at least")
     if "diverged_at" in dataset and (left := int((dataset["diverged_at"] < 0).sum())):
         raise ValueError(
             f"{left} of {dataset['diverged_at'].size} results of the dataset are not computed; "

@@ -244,12 +244,8 @@ class Sweep:
                 told = chunks[0]
                 results(scheme_of[told.name], first)
             del first
-        layout = Layout(
-            self.plan.variables,
-            self.plan.coordinates(),
-            int(self.plan.chunk),
-            self.configuration(hosts.environment),
-        )
+        plan, made_with = self.plan, self.configuration(hosts.environment)
+        layout = Layout(plan.variables, plan.coordinates(), int(plan.chunk), made_with)
         with ExitStack() as opened:
             store = None if found is None else opened.enter_context(Store.resume(found, layout))
             pending = [c for c in chunks if store is None or not store.is_done(c.scheme, c.number)]

@@ -38,10 +38,8 @@ def test_a_chunk_that_does_not_fit_is_refused_with_one_that_does(monkeypatch, tm
     # with the trials of a tile.
     with_memory(monkeypatch, PLAN.bytes_stored() + 200_000)
     store = tmp_path / "store.zarr"
-    with pytest.raises(
-        ValueError,
-        match=r"chunk = 64 takes .* kB of memory, where 200 kB are .*; chunk = \d+ would fit",
-    ) as refusal:
+    said = r"chunk = 64 takes .* kB of memory, where 200 kB are .*; chunk = \d+ would fit"
+    with pytest.raises(ValueError, match=said) as refusal:
         PLAN.run(store)
     assert not store.exists()
     chunk = int(re.search(r"chunk = (\d+) would fit", str(refusal.value))[1])
@@ -65,10 +63,8 @@ def test_where_no_chunk_fits_it_says_so(monkeypatch, tmp_path):
 
 def test_a_dataset_that_does_not_fit_is_refused(monkeypatch, tmp_path):
     with_memory(monkeypatch, int(1.5 * PLAN.bytes_stored()))
-    with pytest.raises(
-        ValueError,
-        match=r"Sweep: machines = 64 and trials = 3 take .* of memory, where .* would fit",
-    ) as refusal:
+    said = r"Sweep: machines = 64 and trials = 3 take .* of memory, where .* would fit"
+    with pytest.raises(ValueError, match=said) as refusal:
         PLAN.run()  # the dataset exists twice in RAM
     machines = int(re.search(r"machines = (\d+) would fit", str(refusal.value))[1])
     dataclasses.replace(PLAN, machines=machines).need_room(copies=2)

@@ -63,9 +63,8 @@ def test_results_are_whole_at_every_moment(tmp_path):
         for path in state.glob("*.html"):
             assert path.read_text().endswith("</html>\n")
         for path in state.glob("*.zarr"):
-            xr.testing.assert_identical(
-                xr.open_zarr(path, chunks=None, consolidated=False).load(), dataset
-            )
+            read = xr.open_zarr(path, chunks=None, consolidated=False).load()
+            xr.testing.assert_identical(read, dataset)
     assert all(found.values())
 
 
@@ -73,9 +72,8 @@ def test_what_killed_processes_left_is_removed_and_what_is_being_written_stays(t
     program = "import sys, time; from pathlib import Path; from jaxilc.storage import files\n"
     program += "with files.whole_folder(Path(sys.argv[1]) / 'store') as unfinished:"
     program += " print(unfinished.name, flush=True); time.sleep(60)"
-    writer = subprocess.Popen(
-        [sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, "-c", program, str(tmp_path)]
+    writer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     running = writer.stdout.readline().strip()
     for left in (f"{UNFINISHED}1-0123abcd", f"{UNFINISHED}12-deadbeef"):
         (tmp_path / left).write_text("half")
@@ -162,6 +160,9 @@ def test_a_full_disk_and_a_removed_folder_are_told_with_the_name_of_the_file(tmp
     with pytest.raises(OSError, match=r"No such file|No space left") as found:
         files.atomically(path, write)
     assert found.value.filename == str(path)
+    named = pytest.raises(OSError, match=r"No space left on device: '.*/folder'")
+    with named, whole_folder(tmp_path / "folder"):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_a_name_that_another_process_takes_for_a_leftover_is_given_up(tmp_path, monkeypatch):

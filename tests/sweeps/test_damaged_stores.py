@@ -15,13 +15,14 @@ import xarray as xr
 from fuzz import files_of, flipped, fuzz, refusal
 from store_case import LAYOUT, filled
 from sweep_case import PLAN
+from zarr.storage import LocalStore
 
 from jaxilc import open_dataset, summarise
 from jaxilc.outcomes.designing import state_of
 from jaxilc.outcomes.request import unless_there
 from jaxilc.storage import files
 from jaxilc.sweeps import Sweep
-from jaxilc.sweeps.store import DONE, Store
+from jaxilc.sweeps.store import DONE, UNFILLED, Store
 
 pytestmark = pytest.mark.usefixtures("quickly_and_quietly")
 
@@ -101,9 +102,8 @@ def test_a_chunk_in_the_place_of_another_is_computed_again(tmp_path):
             for scheme, chunk in places:
                 if not store.is_done(scheme, chunk):
                     rows = slice(3 * chunk, 3 * chunk + 3)
-                    store.write(
-                        scheme, chunk, rows, {n: of[scheme, rows] for n, of in values.items()}
-                    )
+                    found = {name: of[scheme, rows] for name, of in values.items()}
+                    store.write(scheme, chunk, rows, found)
             return store.dataset()
 
     whole = fill(tmp_path / "store.zarr")
@@ -160,6 +160,24 @@ def test_what_is_gone_or_cut_short_is_refused_and_computed_again(swept, tmp_path
     assert resumed["settled_error"].values.tobytes() == dataset["settled_error"].values.tobytes()
 
 
+def test_a_chunk_is_shown_when_it_is_marked(swept, tmp_path, monkeypatch):
+    """A sweep that was killed has stored a part of it, and one that runs goes on meanwhile."""
+    (_, store, dataset), begun, get = swept, tmp_path / "store.zarr", LocalStore.get
+    shutil.copytree(store, begun, ignore=lambda at, _: {"1"} if at.endswith("/c/0") else set())
+
+    async def written_meanwhile(self, key, **options):
+        found = await get(self, key, **options)
+        if key == "diverged_at/c/0/1":
+            shutil.copytree(store, begun, dirs_exist_ok=True)
+        return found
+
+    monkeypatch.setattr(LocalStore, "get", written_meanwhile)
+    read = open_dataset(begun)
+    xr.testing.assert_identical(read.isel(sample=slice(3)), dataset.isel(sample=slice(3)))
+    for name, values in read.isel(sample=slice(3, None)).data_vars.items():
+        np.testing.assert_array_equal(values, UNFILLED[values.dtype.kind], err_msg=name)
+
+
 @pytest.mark.parametrize("chunks", [1, 2])
 def test_a_store_that_is_removed_while_a_sweep_runs_is_named(swept, tmp_path, chunks):
     plan, place = swept[0], tmp_path / "store.zarr"
@@ -202,11 +220,10 @@ def test_a_chunk_is_marked_when_its_figures_are_on_the_disk(tmp_path, monkeypatc
         replace(what, path)
         done.append(path)
 
-    monkeypatch.setattr(
-        files.os,
-        "fsync",
-        lambda descriptor: done.append(os.readlink(f"/proc/self/fd/{descriptor}")),
-    )
+    def synced(descriptor):
+        done.append(os.readlink(f"/proc/self/fd/{descriptor}"))
+
+    monkeypatch.setattr(files.os, "fsync", synced)
     monkeypatch.setattr(files.os, "replace", noted)
     filled(tmp_path / "store.zarr")
     store = tmp_path / "store.zarr"
