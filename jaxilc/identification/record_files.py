@@ -200,8 +200,10 @@ def _check_increasing(path, time: str, one: Signal) -> None:
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0))
         raise ValueError(
-            f"read_record: {path}, {one.places[k + 1]}: {time} = {one.times[k + 1]:.9g} s "
-            f"does not increase from {one.times[k]:.9g} s"
+            f"read_record: {path}, {one.places[k + 1]}: {time} = {one.times[k + 1]:.15g} s does "
+            f"not increase from {one.times[k]:.15g} s; allowed are times that increase. Cut the "
+            "file where its clock began again; rows that are one sample time apart are counted by "
+            "--time with a name that it does not have, and --dt (time, dt)"
         )
 
 
@@ -216,6 +218,14 @@ def _own_step(times: np.ndarray) -> float:
     away = at - mean * k
     even = np.max(steps) < MOST_ROUNDED * np.min(steps) and np.ptp(away) < 1.01 * np.ptp(steps)
     return mean if even and abs(mean / middle - 1) > STEP_TOLERANCE else middle
+
+
+def _mean_step(times: np.ndarray) -> float:
+    """The mean step, to the digits that the times tell: those of an absolute clock are rounded."""
+    mean = float(times[-1] - times[0]) / (len(times) - 1)
+    known = 2 * np.spacing(np.max(np.abs(times))) / (len(times) - 1)
+    rounded = [float(f"{mean:.{digits}g}") for digits in range(1, 13)]
+    return next((one for one in rounded if abs(one - mean) <= known), rounded[-1])
 
 
 def _has_step(signals: Sequence[Signal], dt: float) -> bool:
@@ -249,7 +259,7 @@ def _as_it_is(path, time: str, inputs: list[Signal], outputs: list[Signal]) -> R
             f"{STEP_TOLERANCE:.0%}, or --dt {dt:.6g} (dt)"
         )
     u, y = (np.stack([one.values[:rows] for one in of], axis=1) for of in (inputs, outputs))
-    return Record(u[:-1], y, float(f"{np.mean(steps[: rows - 1]):.12g}"))
+    return Record(u[:-1], y, _mean_step(first.times[:rows]))
 
 
 def _text_signals(path, time, inputs, outputs, unit, columns, dt) -> list[Signal]:
@@ -957,7 +967,7 @@ def _step(path: Path, heading: str, times: np.ndarray, given: float | None) -> f
         return given
     if not middle > 0 or np.any(np.abs(steps / middle - 1) > STEP_TOLERANCE):
         raise ValueError(f"{path}: its times are not uniform (to {STEP_TOLERANCE:.0%})")
-    return float(f"{np.mean(steps):.12g}")
+    return _mean_step(times)
 
 
 def _one_unit(path: Path, units: Iterable[str | None]) -> str:

@@ -20,7 +20,7 @@ def check(found, dt=1e-3):
 
 
 def rows(separator=",", decimal=".", times=(0.0, 1.0, 2.0, 3.0)):
-    lines = [separator.join(f"{v:g}" for v in row) for row in zip(times, U, Y, strict=True)]
+    lines = [separator.join(f"{v:.14g}" for v in row) for row in zip(times, U, Y, strict=True)]
     return "\n".join(lines).replace(".", decimal) + "\n"
 
 
@@ -29,6 +29,7 @@ def rows(separator=",", decimal=".", times=(0.0, 1.0, 2.0, 3.0)):
 
 TEXTS = {
     "names of units below": "x-axis,u,y\nSecond,Volt,Volt\n" + rows(times=1e-3 * np.arange(4.0)),
+    "absolute clock": "t,u [V],y [mm]\n" + rows(times=1732999999 + 1e-3 * np.arange(4.0)),
     "comments": "# drive 3\n% 2024-05-06\n; axis x\nt [ms],u [V],y [mm]\n" + rows(),
     "units below": "t,u,y\n[ms],[V],[mm]\n" + rows(),
     "plain units below": "t;u;y\nms;V;mm\n" + rows(";"),
@@ -78,7 +79,8 @@ REFUSED = [
     ("t,u,y\n0,1,2\n\n1,1,2\n2,1,nan\n", "line 5: y = 'nan' is not a finite number"),
     ("t,u,y\n0,1,2\n1,1\n", "line 3: y = '' is not a finite number"),
     ("t [s],u [V],y [mm]\n0,1,0\n1,,2\n2,1,2\n", "line 3: u = '' is not a finite number"),
-    ("t [s],u,y\n0,1,2\n1,1,2\n0.5,1,2\n2,1,2\n", "line 4: t = 0.5 s does not increase from 1 s"),
+    ("t [s],u,y\n1732999999.25,1,2\n1732999999.5,1,2\n1732999999.25,1,2\n",
+     "line 4: t = 1732999999.25 s does not increase from 1732999999.5 s; allowed .* Cut the file"),
     ("t [s],u,y\n0,1,2\n1,1,2\n1,1,2\n", "line 4: t = 1 s does not increase from 1 s"),
     ("t [s],u,y\n0,1,2\n1,1,2\n2,1,2\n4,1,2\n",
      "line 5: t steps by 2 s where the sample time is dt = 1 s; allowed is a deviation of 1%"),
