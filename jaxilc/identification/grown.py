@@ -28,7 +28,7 @@ from ..pytree.aliases import Numbers, Value
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from .estimation import MOVING, Order, compare_orders, identify, information
-from .not_linear import Answers, Suspicion, suspicions
+from .not_linear import SIMPLE, Answers, Suspicion, suspicions
 from .problem import (
     SAMPLES_PER_PARAMETER,
     checked_record,
@@ -57,7 +57,6 @@ EASED = 10.0  # what its damping is divided by after a step
 GAINED = 1e-7  # relative fall of the cost of a step, below which a refinement ends
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 50.0
 STILL = 0.02  # of 1 / duration, the slowest rate that is looked for
-SIMPLE = 6  # order up to which real zeros are looked for, and what is not linear
 ASKED, MOSTLY = 8, 0.5  # order at which it is asked; share of the residual that it must explain
 SMALLEST = 1e-9  # of the standard deviation of an output, below which a residual is rounding
 EQUAL = 1.0  # of the criterion, within which two models explain a record as well
@@ -251,16 +250,29 @@ def bounds(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
 
 
 def refined(signals: Signals, parts: Parts, steps: int) -> Fitted:
-    """The parts after some steps of the search for their poles; a delay counts as a parameter."""
+    """The parts after some steps of the search for their poles; a delay counts as a parameter.
+
+    So does what may imitate one of a sample, a direct term, once more.
+    """
     y = signals.wanted(parts)
     found, _ = searched(
         lambda x: projected(x, columns(signals, parts.at(x))[0], y),
         lambda at: slopes(signals, parts.at(at.theta), at.N),
         parts.x, bounds(signals, parts), steps=steps, tolerance=GAINED, eased=EASED,
     )  # fmt: skip
-    count = found.N.size + signals.left_out(parts) * y.shape[1] + len(parts.x) + (parts.delay > 0)
-    bic = information(found.left, count, SMALLEST)
+    count = found.N.size + len(parts.x) + (parts.delay > 0 or parts.direct)
+    bic = criterion(signals, parts, found.left, count)
     return Fitted(parts.at(found.theta), found.cost, bic, count)
+
+
+def criterion(signals: Signals, parts: Parts, left: Numbers, parameters: int) -> float:
+    """The information of a residual, where samples that are left out err as the others do.
+
+    As parameters of their own they would cost more than they can gain, so that a machine in motion
+    would seem to answer before its dead time is over.
+    """
+    even = len(left) / (len(left) - signals.left_out(parts))
+    return information(np.sqrt(even) * left, parameters, SMALLEST)
 
 
 # Where a search begins
@@ -393,7 +405,8 @@ def later(parts: Parts) -> Iterator[Parts]:
     Poles that decay within a sample are a dead time or a direct term in disguise.
     """
     yield parts._replace(direct=True)
-    yield parts._replace(delay=parts.delay + 1)
+    for direct in {parts.direct, False}:
+        yield parts._replace(delay=parts.delay + 1, direct=direct)
     for order in (parts.order - 1, parts.order - 2):
         fewer = [one for one in smaller(parts) if one.order == order]
         if not fewer:
@@ -662,8 +675,7 @@ def with_zeros(signals: Signals, fitted: Fitted) -> WithZeros:
             ftol=1e-7,
         ).x
         N, residual = solved(x, degree)
-        count = len(x) + len(N) + signals.left_out(parts) + (parts.delay > 0)
-        bic = information(residual, count, SMALLEST)
+        bic = criterion(signals, parts, residual, len(x) + len(N) + (parts.delay > 0))
         numerator = N[1 : 2 + degree] * signals.scale[0]
         found.append(WithZeros(parts.at(x), numerator, unit, bic))
         if bic > min(one.bic for one in found) + FAR:  # a coefficient that is needed is missing
@@ -804,10 +816,12 @@ def grow(
 
     steps = ladder(signals, began, order or highest, say, imitates, least=order or 1)
     start = steps[fixed] if fixed else min(steps.values(), key=lambda one: one.bic)
-    if delay is None:  # a delay that is far too long would be left sample by sample
-        shorter = [start.parts._replace(delay=d) for d in DELAYS if d < start.parts.delay]
-        shorter = [refined(signals, parts, SHORT) for parts in shorter]
-        start = min([start, *shorter], key=lambda one: one.bic)
+    if delay is None:  # a delay that is far off would be left sample by sample, or by more poles
+        most = start.parts.order
+        orders = {most} if fixed else {most, *range(1, min(most, SIMPLE))}
+        others = [steps[n].parts._replace(delay=d) for n in orders for d in DELAYS if d <= late]
+        others = [refined(signals, parts, SHORT) for parts in others if long_enough(signals, parts)]
+        start = min([start, *others], key=lambda one: one.bic)
     improve = partial(improved, signals, delays=delays, highest=highest, each=say)
     best, tried = improve(start, order=fixed)
     need_stable(whole, best)
@@ -841,8 +855,9 @@ def grow(
 
 
 def by_validation(whole: Signals, best: Fitted, others: list[Fitted]) -> Fitted:
-    """The best fit, or one of lower order that is clearly better on the validation part."""
-    lower = [one for one in others if one.parts.order < best.parts.order]
+    """The best fit, or that of a lower order that is clearly better on the validation part."""
+    of_orders = {one.parts.order: one for one in sorted(others, key=lambda one: -one.bic)}
+    lower = [one for order, one in of_orders.items() if order < best.parts.order]
 
     def left(one: Fitted) -> float:
         return float(np.sum(foretold(whole, one.parts)[1] ** 2))

@@ -34,6 +34,7 @@ from .problem import free_elements, simulated_output
 from .records import Record, as_columns, delayed, task_of
 from .verdict import WIDE, Estimate, Identified, estimates, fit_of, inverse_of_normal, widened
 
+SIMPLE = 6  # order up to which a plant does not imitate what is not linear
 LEAST = 0.2  # share of the residual that a suspicion explains at least
 SURE = 4.0  # standard deviations of r that it has at least
 AS_GOOD = 1.25  # times the least rms: what leaves no more is as good
@@ -127,7 +128,8 @@ def suspicions(record: Record, plants: Sequence[Plant | Identified | Answers]) -
 
     A plant of high order imitates what is not linear, by poles that no machine has; so the plants
     of lower orders are asked, too. Of each suspicion the lowest order is told that leaves hardly
-    more than the best, and of the suspicions those that leave hardly more than the first.
+    more than the best, and of the suspicions those that leave hardly more than the first, and than
+    a plant of at most 6 poles alone.
 
     record: one experiment with one input and one output; of others nothing is said
     plants: fits to it, of one input and one output, or what they answer
@@ -141,7 +143,8 @@ def suspicions(record: Record, plants: Sequence[Plant | Identified | Answers]) -
     told = [one for each in seen for one in _suspected(each)]
     if not told:
         return []
-    least = min(one.rms for one in told)
+    alone = [float(np.std(one.e)) for one in seen if one.order <= SIMPLE]
+    least = min([*(one.rms for one in told), *alone])
     good = [one for one in told if one.rms <= AS_GOOD * least]
     lowest = {one.name: one for one in sorted(good, key=lambda one: -one.order)}
     return sorted(lowest.values(), key=lambda one: one.rms)

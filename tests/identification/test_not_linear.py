@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxilc.identification import Record, friction_of, grow, identify, suspicions
-from jaxilc.identification.not_linear import NEXT, sentences
+from jaxilc.identification.not_linear import NEXT, Answers, sentences
 from jaxilc.identification.problem import Coordinates
 from jaxilc.outcomes.identifying import RIGID
 from jaxilc.plants import ProcessModel
@@ -64,6 +64,11 @@ def test_of_a_linear_drive_and_of_several_channels_nothing_is_suspected():
     record = moved("linear")
     found = identify(record, poles=0, pairs=1, zeros=0)
     assert suspicions(record, [found.plant]) == []
+    other = moved("saturation")
+    left = 1e-4 * np.random.default_rng(1).standard_normal(N)
+    alone = Answers(4, other.y[:, 0] + left, np.eye(1, N)[0])  # of a linear plant
+    assert suspicions(other, [found.plant])
+    assert suspicions(other, [found.plant, alone]) == []
     twice = record._replace(y=np.hstack([record.y, record.y]))
     assert suspicions(twice, [found.plant]) == []
 
