@@ -302,8 +302,9 @@ class Campaign:
                 repeats &= scheme.trials_a_step > 1
                 if repeats and not _same_file(entry, measured.source, hashes):
                     text = f"the record is that of trial {entry['trial']}, whose schedule the law "
-                    text += "has played again, up to the resolution of the encoder"
-                    findings.append(Finding("note", text))
+                    text += "has played again, up to the resolution of the encoder; a copy of its "
+                    text += "file under another name would teach nothing, so look whether it is one"
+                    findings.append(Finding("warning", text))
                     continue
                 known = "which was learned from already;"
                 again = "whose input a call without --measured writes once more"

@@ -449,6 +449,12 @@ def _parts(given: Value, names: list[str]) -> list[Value]:
     else:
         nested = isinstance(given, list | tuple) and len(given) == len(names) > 1
         own = nested and all(isinstance(of, str | list | tuple | np.ndarray) for of in given)
+        if own and all(isinstance(of, str) and not {*",:"} & {*of} for of in given):
+            raise ValueError(
+                f"grid: {' / '.join(names)} = {brief(given)} may be a value of each name or values "
+                f"of all; allowed are a list for each name, or the text {'/'.join(given)!r} or "
+                f"{','.join(given)!r}"
+            )
         parts = list(given) if own else [given]
     if len(parts) not in (1, len(names)):
         raise ValueError(

@@ -253,6 +253,7 @@ def test_values_that_are_wholes_replace_machine_schemes_and_task():
         ({"learning.lam": "1:2:9999", "plant.gain": "1:2:9999"}, r"points = 99980001 take .* GB"),
         ({"learning.lam/learning.rho": "1, 2/0.5"}, "lam has 2 and learning.rho has 1 values"),
         ({"learning.lam/learning.rho": "1/2/3"}, "has values for 3 names; allowed is one part"),
+        ({"learning.lam/learning.rho": ["1", "2"]}, "allowed are a list for each name, or the"),
         ({"learning.lead": "0:1:3"}, "lead = 0.5 is outside its allowed range .* whole numbers"),
         ({"learning.lead": [0, 100]}, r"lead = 100 is outside its allowed range \[0, 59\]"),
         ({"learning.reset": "book, boko"}, "reset = 'boko' is not one of 'book'"),
