@@ -330,7 +330,9 @@ def _unexpected(now: Campaign, turn: Turn, place: Place, fit: str) -> Finding:
     changed = now.what_changed(turn.record, turn.expected)
     text += f"; suspected is {changed.text or 'a changed machine'}"
     then = (changed.then or "look for the cause, or identify the plant again").capitalize()
-    return Finding("warning", f"{text}. It is told once: the next band begins here. {then}: {fit}")
+    if all(kind != "refusal" for kind, _ in turn.findings):
+        text += ". It is told once: the next band begins here"
+    return Finding("warning", f"{text}. {then}: {fit}")
 
 
 def step_back(now: Campaign, out_file: Path | None) -> str:

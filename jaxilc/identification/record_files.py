@@ -202,8 +202,7 @@ def _check_increasing(path, time: str, one: Signal) -> None:
         raise ValueError(
             f"read_record: {path}, {one.places[k + 1]}: {time} = {one.times[k + 1]:.15g} s does "
             f"not increase from {one.times[k]:.15g} s; allowed are times that increase. Cut the "
-            "file where its clock began again; rows that are one sample time apart are counted by "
-            "--time with a name that it does not have, and --dt (time, dt)"
+            f"file where its clock began again; {COUNTED}"
         )
 
 
@@ -311,6 +310,8 @@ def _numbers(path, names, at: list[int], rows, inputs: int) -> tuple[np.ndarray,
                 f"read_record: {path}, line {line}: {names[i]} = {quoted(path, brief(text))} is "
                 "not a finite number"
             )
+            if i == 0:
+                wrong += f"; allowed are s, ms, us or ns, as its heading tells. Else {COUNTED}"
             if text or not 0 < i <= inputs:  # the last row may have no input
                 raise ValueError(wrong)
         values.append(found)
@@ -415,6 +416,10 @@ OTHER_NAMES = {"sec": "s", "seconds": "s", "msec": "ms", "µs": "us", "μs": "us
 DOUBTFUL = 0.1
 # Share of the sample time by which a step of a record's time may differ from the others.
 STEP_TOLERANCE = 0.01
+COUNTED = (
+    "rows that are one sample time apart are counted by --time with a name that it does not have, "
+    "and --dt (time, dt)"
+)
 _WITH_UNIT = re.compile(r"^(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 
 

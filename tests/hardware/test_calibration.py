@@ -1,11 +1,14 @@
 """The band that the trials of a campaign give of the next one."""
 
+from types import SimpleNamespace
+
 import campaigns_with_faults as faults
 import numpy as np
 import pytest
 import scipy.signal
 from cases import ALGEBRA
 
+from jaxilc.cli.hardware import _unexpected
 from jaxilc.hardware import Journal, calibration
 from jaxilc.hardware.calibration import expected
 from jaxilc.signals import Task
@@ -111,6 +114,15 @@ def test_a_manifest_keeps_what_was_expected():
     assert again.place(0.1, 0.2) == found.place(0.1, 0.2)
     wrong = ({}, {"expected": 3}, {"expected": found.as_json() | {"far": [[1]]}})
     assert [calibration.kept(manifest) for manifest in wrong] == [None] * 3
+
+
+@pytest.mark.parametrize("kind", ["note", "refusal"])
+def test_a_trial_that_is_refused_begins_no_band(kind):
+    known = SimpleNamespace(what_changed=lambda *_: SimpleNamespace(text="", then=""))
+    turn = SimpleNamespace(trial=6, findings=[(kind, "")], record=None, expected=None)
+    place = SimpleNamespace(error="RMS error", distance=-1.0, level="clear")
+    said = _unexpected(known, turn, place, "identify").text
+    assert ("the next band begins here" in said) == (kind == "note")
 
 
 @pytest.mark.thorough
