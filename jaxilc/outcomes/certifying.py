@@ -43,7 +43,7 @@ from ..theory.repetitive import (
 from ..uncertainty import Population
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .words import Case, beside_1, counted, number, several
+from .words import Case, beside_1, counted, machine_said, number, several
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -321,7 +321,7 @@ def _claimed(numbers: Numbers, scale: float, unit: str) -> str:
             f"it leaves {left_words(numbers, scale, unit)}"
         )
     if claims[DIVERGES]:
-        parts.append(f"{claims[DIVERGES]} diverge")
+        parts.append(f"{claims[DIVERGES]} diverge{'s' * (claims[DIVERGES] == 1)}")
     if claims[NOTHING]:
         some = f"of {claims[NOTHING]}" if parts else "of the long run"
         parts.append(f"{some} nothing is claimed")
@@ -373,8 +373,9 @@ def _expected(numbers: Numbers) -> str:
     bad = {c: (expected[c], observed[c]) for c in (TURNS, GROWS) if expected[c] or observed[c]}
     if not bad:
         return "the error of every machine ends no higher than it began, by theory and simulation"
+    of = several(sum(expected.values()), "machine")
     courses = ", ".join(
-        f"{several(e, 'machine')} {COURSE_WORDS[c]} by theory and {o} by simulation"
+        f"{e} of {of} by theory and {o} by simulation {COURSE_WORDS[c]}"
         for c, (e, o) in bad.items()
     )
     best = (
@@ -421,7 +422,8 @@ def _how(row: Numbers) -> str:
     claims = row["claims"]
     if not claims[CONVERGES]:
         return "is monotone" + (f" until {row['held_by']} holds it" if row["held_by"] else "")
-    return "converges" if not claims[MONOTONE] else "converges, on most of them in every trial"
+    every = claims[MONOTONE]
+    return f"converges, on {every} of them in every trial" if every else "converges"
 
 
 def _after_certify(
@@ -465,7 +467,7 @@ def of_periods(chosen: Scenario, population: Population, progress: Progress) -> 
     in_parallel: the number of those that stand side by side
     times: by how much the condition is stricter for it
     verdict, reasons: of the condition on the worst machine, and the premises that are broken
-    machines, at: number of machines, and the numbers of the worst one
+    machines, at, worst: number of machines, and the numbers of the worst one, also in words
     condition, condition_at: its largest value, and where [Hz]
     grows, grows_at: the largest growth of what does not repeat in the period, and where [Hz]
     left, left_if_wrong: shares of the first harmonic that are left of the nominal machine, with the
@@ -494,6 +496,7 @@ def of_periods(chosen: Scenario, population: Population, progress: Progress) -> 
             "reasons": _reasons(condition),
             "machines": population.size,
             "at": worst.at,
+            "worst": machine_said(worst.at, chosen.uncertainty),
             "condition": float(condition.value),
             "condition_at": worst.test.worst,
             "grows": worst.worst,
@@ -512,7 +515,7 @@ def of_bases(chosen: Scenario, population: Population, progress: Progress) -> di
         functions have no such map, as `reasons` tells
     keep: what is left of a weight after a step
     harmonic: whether the functions are harmonics
-    verdict, reasons, machines, at: as in `of_periods`
+    verdict, reasons, machines, at, worst: as in `of_periods`
     """
     found = {}
     for name, scheme in chosen.schemes.items():
@@ -529,7 +532,8 @@ def of_bases(chosen: Scenario, population: Population, progress: Progress) -> di
         else:
             told |= {"map": float(condition.value), "period": [period], "at": at}
             told |= {"verdict": str(condition.verdict), "reasons": _reasons(condition)}
-        found[name] = about | told | {"machines": population.size}
+        said = machine_said(told["at"], chosen.uncertainty)
+        found[name] = about | told | {"machines": population.size, "worst": said}
     return found
 
 
@@ -539,8 +543,8 @@ def _reasons(condition: Condition) -> list[str]:
 
 def _machines(numbers: Numbers) -> tuple[str, str]:
     """On which machines a condition holds, and the numbers of the worst one, in words."""
-    at = ", ".join(f"{key} = {number(value)}" for key, value in numbers["at"].items())
-    return _all(numbers["machines"]), f" on the worst ({at})" if at else ""
+    worst = numbers["worst"]
+    return _all(numbers["machines"]), f" on the worst ({worst})" if worst else ""
 
 
 def _basis_sentence(name: str, numbers: Numbers) -> str:

@@ -27,12 +27,13 @@ from ..storage.files import need_unused
 from ..storage.sealed import Damaged, checksum, read_json, sealed, unsealed, write_json
 from ..sweeps.store import open_dataset
 from ..theory.on_lines import rounded
+from ..uncertainty import Uncertainty
 from .outcome import Figure, Interactive, Numbers, Outcome, Progress, Table, Verdict, silent
 from .repeating import Following, following, recurs, repeats_in, within_numbers, within_trial
 from .request import Request
 from .sweeping import live_store
 from .terms import objective_for, risk_of
-from .words import FALLS, number, several, size_of, trend_of
+from .words import FALLS, machine_said, number, several, size_of, trend_of
 
 Q = TypeVar("Q")
 
@@ -261,7 +262,7 @@ def judged_numbers(chosen: Scenario, found: Designed | Learned) -> Numbers:
     }
 
 
-def safety_said(proof: Proof) -> str:
+def safety_said(proof: Proof, uncertainty: Uncertainty) -> str:
     """How safe a law is, where the margin is least, and what theory claims."""
     nominal, worst = proof.claims
     without = f" (of trials without {proof.without})" if proof.without else ""
@@ -270,7 +271,7 @@ def safety_said(proof: Proof) -> str:
         f"{proof.margin:.3f}; it is least at {proof.at:.3g} Hz"
     )
     if proof.machine:
-        at = ", ".join(f"{name} = {value:.4g}" for name, value in proof.machine.items())
+        at = machine_said(proof.machine, uncertainty)
         said += f" on the worst of {proof.machines} machines ({at})"
     said += f"{_beyond(proof)}. Theory claims for the long run, of the nominal machine: {nominal}"
     said += f"; of the worst: {worst}." if proof.machine else "."
@@ -393,7 +394,7 @@ def _recommended(chosen: Scenario, designed: Designed, best: Recommended) -> lis
         f"design has not seen, 95 % are at or below a {chosen.judged_by.replace('_', ' ')} of "
         f"{size(one.error)} in {_trials_said(designed.trials, designed.long)}; half of "
         f"them are at or below {size(one.median)}, all of them at or below {size(one.worst)}.",
-        safety_said(best.proof),
+        safety_said(best.proof, chosen.uncertainty),
     ]
     if chosen.tolerance is not None:
         said.append(
@@ -633,7 +634,7 @@ def _law_sentences(chosen: Scenario, learned: Learned) -> tuple[str, ...]:
     else:
         beside = "No law of a few weights is safe on every machine, to compare it with."
     first = f"{begun}: {learned.law.words}{back}. {_errors_said(chosen, learned)}"
-    return first, beside, safety_said(learned.proof)
+    return first, beside, safety_said(learned.proof, chosen.uncertainty)
 
 
 def _law_numbers(chosen: Scenario, learned: Learned) -> Numbers:

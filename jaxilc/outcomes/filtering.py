@@ -33,7 +33,7 @@ from ..tuning.synthesis import need_taps, synthesised
 from ..uncertainty import Uncertainty, Uniform, check
 from .outcome import Figure, Numbers, Outcome, Progress, Table, Verdict, silent
 from .request import Request
-from .words import beside_1, number, several
+from .words import beside_1, machine_said, number, several
 
 ORDER = 2  # of one pass of the filter of a measured law
 LINES_A_TAP = 4  # of the grid on which filters are synthesised
@@ -319,7 +319,7 @@ def _scheme_rows(answered: Question, uncertainty, scale, unit) -> list[tuple[str
     rms = f"{unit or 'units of y'} rms, nominal machine"
     rows = [
         ("largest", f"{beside_1(tried.values[top])} at {number(tried.worst[top])} Hz"),
-        ("its machine", _machine_said(tried.at, uncertainty) or "the nominal one"),
+        ("its machine", machine_said(tried.at, uncertainty) or "the nominal one"),
         ("nominal machine", f"{beside_1(tried.values[0])} at {number(tried.worst[0])} Hz"),
         ("of the whole set", f"{proved}: {answered.proof.how}"),
         ("margin", f"{number(1 - answered.peak)}, least at {number(tried.worst[top])} Hz"),
@@ -346,7 +346,7 @@ def _scheme_verdict(name: str, answered: Question, uncertainty) -> str:
     tried, value = answered.tried, answered.peak
     over = f" for {_intervals_said(uncertainty)}" if uncertainty else " for the nominal machine"
     where = f"at {number(tried.worst[tried.top])} Hz"
-    at = _machine_said(tried.at, uncertainty)
+    at = machine_said(tried.at, uncertainty)
     where += f" on the machine {at}" if at else ""
     if not answered.stable:
         return f"{name}: nothing is claimed{over}: a loop without learning is not stable."
@@ -666,11 +666,3 @@ def _intervals_said(uncertainty: Uncertainty) -> str:
             else f"{name} {'x ' if d.relative else ''}{low:.4g} to {high:.4g}"
         )
     return " and ".join(parts)
-
-
-def _machine_said(at: Mapping[str, float], uncertainty: Uncertainty) -> str:
-    """The numbers of a machine in words; relative ones as factors."""
-    return ", ".join(
-        f"{name} {'x ' if uncertainty[name].relative else '= '}{value:.4g}"
-        for name, value in at.items()
-    )

@@ -16,6 +16,7 @@ from ..learning.divergence import GROWTH
 from ..learning.known_metrics import ERRORS
 from ..scenarios import Scenario
 from ..schemes.scheme import trials_of_step
+from ..uncertainty import Uncertainty
 from .request import Request
 
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])")
@@ -44,6 +45,14 @@ def sized(value: float, unit: str) -> str:
 def several(count: int, one: str) -> str:
     """A count with its noun, in the plural unless it is one."""
     return f"{count} {one}{'s' * (count != 1)}"
+
+
+def machine_said(at: Mapping[str, float], uncertainty: Uncertainty) -> str:
+    """The numbers of a machine in words; relative ones as factors."""
+    return ", ".join(
+        f"{name} {'x ' if uncertainty[name].relative else '= '}{value:.4g}"
+        for name, value in at.items()
+    )
 
 
 def counted(reasons: Iterable[str]) -> dict[str, int]:

@@ -164,9 +164,11 @@ def test_what_a_machine_may_differ_by_is_rounded_down_and_of_its_closed_loop(fur
     """A drive of twice the gain was called safe, under a feedback that is unstable with it."""
     proof = Proof(0.8, 0.9, 10.0, {}, 1, ("monotone",) * 2, ("",) * 2, further=further)
     what = "each stable response from what is learned to the output may differ from its model by"
-    assert f"{what} {percent} % at any frequency that was tried" in safety_said(proof)
-    told = safety_said(proof._replace(without="variation.late = 40"))
+    assert f"{what} {percent} % at any frequency that was tried" in safety_said(proof, {})
+    proof = proof._replace(without="variation.late = 40", machine={"plant.gain": 0.7})
+    told = safety_said(proof, WIDE)
     assert "(of trials without variation.late = 40) is at most 0.9" in told
+    assert "of 1 machines (plant.gain x 0.7)" in told, "a factor, and no gain of 0.7"
 
 
 @pytest.fixture
@@ -202,7 +204,7 @@ def test_the_corners_of_a_normal_distribution_are_found_though_drawn_numbers_lie
     within = np.abs(family.drawn["plant.gain"] - 1) < 0.1001
     law = family._replace(P=family.P[within]).sizes(1, 0.6 * family.advance(1, DT))
     assert np.max(law) <= proof.whole.bound < np.max(law) * 1.02 < proof.worst
-    assert "two standard deviations from the mean of plant.gain" in safety_said(proof)
+    assert "two standard deviations from the mean of plant.gain" in safety_said(proof, normal)
 
 
 @pytest.mark.thorough
