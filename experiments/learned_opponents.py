@@ -13,6 +13,7 @@ cutoff as the gradient leaves them; and FFDL-MFAILC.
 
 import dataclasses
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from jaxilc.design.candidates import (
     Candidate,
     response_of_pd,
     rms_of,
+    simulated,
     tuned,
     widest,
 )
@@ -151,8 +153,9 @@ def best_of_grid(case: Case, family: Family) -> Scheme:
     ]
     laws = predicted_best(family, laws, dt, case.trials)
     few = max(1, int(4e7 / (len(loops) * case.task.N * 8)))  # at a time, to spare memory
+    last = lambda errors: deque(errors, maxlen=1)[0]  # noqa: E731
     parts = [
-        rms_of(loops, family.first_error, laws[i : i + few], dt, case.trials)
+        rms_of(last(simulated(loops, family.first_error, laws[i : i + few], dt, case.trials)))
         for i in range(0, len(laws), few)
     ]
     errors = np.nan_to_num(np.concatenate(parts), nan=np.inf)

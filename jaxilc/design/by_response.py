@@ -62,7 +62,7 @@ def by_response(
     """
     early = ((max(2, (trials + 1) // 2), EARLY),) if trials > 2 else ()
     counted = ((trials, 1.0), *early)
-    no_arrays: dict[str, Tree] = {"loops": [], "drawn": {}, "population": None}
+    no_arrays: dict[str, Tree] = {"loops": [], "drawn": {}, "population": None, "metric": ()}
     # one program serves all windows of a size: only their directions and units count here
     counting = window._replace(lead=0, starts=(), limit=None, dt=None)
     problem = family._replace(**no_arrays), counting, start

@@ -5,12 +5,13 @@ Each law has a few weights. A grid of them is looked at in frequency, over all m
 
     |Q (1 - L P)| <= 1 - margin    at each frequency, on each machine
 
-Of P-type and PD-type laws the best by this prediction are simulated (`rms_of`), since their lead
-costs the end of the trial.
+Of P-type and PD-type laws the best by this prediction are simulated (`simulated`), since their
+lead costs the end of the trial, and compared by the metric that judges, if it is an error.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -27,7 +28,7 @@ from ..pytree.named_paths import get_at, replaced
 from ..schemes import ErrorFiltered, Filtered, NormOptimal, PIDType, Scheme, learning_filter
 from ..signals.task import Task, Trial
 from ..theory.law import law_of
-from ..theory.loop import Loop, minimal
+from ..theory.loop import Loop, impulse_blocks, minimal
 from ..theory.on_lines import Change, Lines, largest_cutoff, low_pass
 from ..tuning import Tuning
 from ..tuning.objectives import EveryTrial, Holding, Objective
@@ -124,7 +125,7 @@ def p_type_notch(family, task, trials, margin) -> Candidate | str:
     ]
     if not found:
         return _NO_WEIGHTS
-    best = min(found, key=lambda one: one.predicted)
+    best = min(found, key=lambda one: one.judged)
     low, high = best.weights["low"], best.weights["high"]
     learning = ErrorFiltered(_pid_type(best, ("gamma_p",)), ZeroPhaseBandStop(low, high))
     middle = (low * high) ** 0.5
@@ -275,11 +276,15 @@ NARROWER = 0.25  # power of the factor for an edge
 
 
 class Found(NamedTuple):
-    """Weights of the least predicted error, with that error and the largest contraction."""
+    """Weights of the least predicted error, with that error and the largest contraction.
+
+    judged: the error by the metric that judges, of a law that is simulated
+    """
 
     weights: dict[str, float]
     predicted: float
     largest: float
+    judged: float = np.inf
 
 
 def widest(family: Family, laws, task: Task, trials: int, margin: float) -> list[Found]:
@@ -328,34 +333,51 @@ def best_simulated(
 ) -> Found:
     """The law of least error where the ends of the trial count too: the best found, and around it.
 
-    What noise adds to each is that of the frequency response. The search goes on from the best one
-    by steps of gain, cutoff and lead, alone and in pairs, that keep the margin and lower the error;
-    where none does, they become shorter.
+    The error is by the metric that judges, if that is the largest one of the trial or of its
+    settled part, else the root mean square. The search goes on from the best one by steps of gain,
+    cutoff and lead, alone and in pairs, that keep the margin and lower the error; where none does,
+    they become shorter.
     """
-    found = found[:SIMULATED]
     sizes = np.abs(family.P).sum(axis=1)
     which = np.unique(np.r_[0, np.argsort(sizes)[:: max(1, len(sizes) // 4)], np.argmax(sizes)])
-    loops = [family.loops[i] for i in which]
-    quiet = family._replace(error=0 * family.error)
 
-    def errors_of(laws):
-        errors = rms_of(loops, family.first_error, laws, task.dt, trials)
-        noise = [np.max(quiet.rms(*_responses(family, law, task.dt), trials)) for law in laws]
-        return np.nan_to_num(np.hypot(np.max(errors, axis=1), noise), nan=np.inf)
+    def least(laws: list[Found]) -> Found:
+        return min(_judged(family, laws, which, task, trials), key=lambda one: one.judged)
 
-    errors = errors_of([one.weights for one in found])
-    best, stride = found[int(np.argmin(errors))]._replace(predicted=float(np.min(errors))), STRIDE
+    best, stride = least(found[:SIMULATED]), STRIDE
     for _ in range(ROUNDS):
         near = [one for law in _beside(best.weights, stride, task)
                 if (one := _kept(family, law, task.dt, margin))]  # fmt: skip
-        errors = errors_of([one.weights for one in near]) if near else np.array([np.inf])
-        if np.min(errors) < LOWER * best.predicted:
-            best = near[int(np.argmin(errors))]._replace(predicted=float(np.min(errors)))
+        if near and (lower := least(near)).judged < LOWER * best.judged:
+            best = lower
         elif stride < SHORTEST:
             break
         else:
             stride = stride**0.5
     return best
+
+
+def _judged(family: Family, laws: list[Found], which, task: Task, trials: int) -> list[Found]:
+    """Laws with the errors of the last trial on some machines, by simulation.
+
+    Where it is judged by the largest error, that is the one of all trials by which it is judged.
+    What noise adds to each is that of the frequency response, and its largest of n samples
+    sqrt(2 ln n) times its root mean square.
+    """
+    loops, quiet = [family.loops[i] for i in which], family._replace(error=0 * family.error)
+    weights, dt = [one.weights for one in laws], task.dt
+    errors = simulated(loops, family.first_error, weights, dt, judged_trials(trials))
+    e = next(itertools.islice(errors, trials - 1, None))
+    noise = np.array([np.max(quiet.rms(*_responses(family, law, dt), trials)) for law in weights])
+    rms = judged = np.hypot(np.max(rms_of(e), axis=1), noise)
+    window = {"max_error": slice(1, None), "settled_error": task.settled}.get(family.metric)
+    if window is not None:
+        many = max(1.0, np.sqrt(2 * np.log(e[0, 0, window].size)))
+        each = [np.max(np.abs(one[..., window]), axis=(1, 2)) for one in (e, *errors)]
+        judged = np.hypot(np.max(each, axis=0), many * noise)
+    judged = np.where(np.isnan(judged), np.inf, judged)
+    both = zip(laws, rms.tolist(), judged.tolist(), strict=True)
+    return [one._replace(predicted=r, judged=j) for one, r, j in both]
 
 
 def _beside(weights: dict[str, float], stride: float, task: Task) -> list[dict[str, float]]:
@@ -403,11 +425,24 @@ def response_of_pd(family: Family, law, dt: float) -> np.ndarray:
 # P-type and PD-type laws with the ends of the trial
 # --------------------------------------------------------------------------------------------------
 
+LONG = 3, 60, 200  # the sweep has so many times the trials asked for, within these bounds
 
-def rms_of(
-    loops: Sequence[Loop], error, laws: Sequence[dict[str, float]], dt: float, trial: int
-) -> np.ndarray:
-    """(laws, S) root mean square error of a trial, over its samples after the first.
+
+def judged_trials(trials: int) -> int:
+    """The number of trials over which candidates are judged."""
+    times, least, most = LONG
+    return max(trials, min(max(times * trials, least), most))
+
+
+def rms_of(e) -> np.ndarray:
+    """(...) root mean square errors of trials (..., N+1), over their samples after the first."""
+    return np.sqrt(np.mean(e[..., 1:] ** 2, axis=-1))
+
+
+def simulated(
+    loops: Sequence[Loop], error, laws: Sequence[dict[str, float]], dt: float, trials: int
+) -> Iterator[np.ndarray]:
+    """(laws, S, N+1) error of each trial.
 
         e_j = e_1 - P u_j,  u_{j+1} = Q (u_j + gamma_p d_j[k+1+m] + gamma_d (d_j[k+1+m] - d_j[k+m]))
 
@@ -430,11 +465,12 @@ def rms_of(
     angles = np.pi / 2 * np.arange(N + 1) / (N + 1)
     F = np.stack([notch_of(law, angles, dt) for law in laws])[:, None]
     u = np.zeros((len(laws), len(loops), N))
-    for _ in range(trial - 1):
-        e = _weighted(F, _error(error, P, u, size))
+    for _ in range(trials):
+        e = _error(error, P, u, size)
+        yield e
+        e = _weighted(F, e)
         u = u + np.stack([_step(law, one) for law, one in zip(laws, e, strict=True)])
         u = _weighted(Q, u)
-    return np.sqrt(np.mean(_error(error, P, u, size)[..., 1:] ** 2, axis=-1))
 
 
 def notch_of(law: dict[str, float], angles, dt: float) -> np.ndarray:
@@ -449,12 +485,7 @@ _response = jax.jit(lambda notch, angles, dt: notch.response(angles, dt))
 
 def impulse_response(loop: Loop, samples: int) -> np.ndarray:
     """(N,) C A^k B of a loop of one input and output."""
-    A, B, C = (np.asarray(M, float) for M in loop)
-    found, x = np.empty(samples), B[:, 0]
-    for k in range(samples):
-        found[k] = C[0] @ x
-        x = A @ x
-    return found
+    return np.concatenate([*impulse_blocks(loop, samples)])[:, 0, 0]
 
 
 def _error(error, P, u, size: int) -> np.ndarray:

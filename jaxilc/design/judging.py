@@ -29,21 +29,14 @@ from ..theory.law import law_of
 from ..theory.linearity import not_whole
 from ..theory.loop import minimal, radius_of
 from ..uncertainty import Population, Uncertainty, drawn_machines
-from .candidates import Absent, Candidate, candidates
+from .candidates import Absent, Candidate, candidates, judged_trials
 from .responses import MACHINES, Family, designed_on, family_of
 
 Told = Callable[[str, object], object]
 
-LONG = 3, 60, 200  # the sweep has so many times the trials asked for, within these bounds
 LIKE = 1.01  # errors within this factor count as equal; the simpler law is then taken
 SETTLED = 1.05  # factor above the error that is kept, within which a trial counts as settled
 GROWN = 2.0  # factor by which the error may not have grown at the end of the sweep
-
-
-def judged_trials(trials: int) -> int:
-    """The number of trials over which candidates are judged."""
-    times, least, most = LONG
-    return max(trials, min(max(times * trials, least), most))
 
 
 class Verdict(NamedTuple):
@@ -54,13 +47,14 @@ class Verdict(NamedTuple):
         the sweep after that [unit of the metric]
     median: the same for 50 %
     worst: the same for all machines
-    settled_at: first trial whose 95 % error is at most 5 % above `error`; 0 if that is infinite
+    settled_at: first trial whose 95 % error is at most 5 % above its end, the mean of the last
+        quarter of the trials from the last one asked for on; 0 if `error` is infinite
     tolerated_from: first trial from which on 95 % of the machines stay within the tolerance, 0 if
         there is none
     lost: why the law is out of question, empty if it is not
     summary: of the sweep
     gained_later: the share by which the 95 % error falls from the least of the trials asked for to
-        the mean of the last quarter of those from there on
+        that end
     """
 
     candidate: Candidate
@@ -92,25 +86,17 @@ def verdict(
         factor = summary.worst[-1] / summary.worst[last]
         lost = f"the error grows {factor:.1f} times from trial {trials} to {len(summary.worst)}"
     high, error = summary.high, float(np.max(summary.high[last:]))
+    least = float(np.min(high[:trials]))  # by chance one trial has more
+    end = float(np.mean(high[last:][-max((len(high) - last) // 4, 1) :]))
     if not lost and error >= high[0]:
         lost = f"it leaves {error / high[0]:.2g} times the error of the first trial"
     return Verdict(
         candidate, error=error, median=float(np.max(summary.median[last:])),
         worst=float(np.max(summary.worst[last:])),
-        settled_at=1 + int(np.argmax(high <= SETTLED * error)) if np.isfinite(error) else 0,
+        settled_at=1 + int(np.argmax(high <= SETTLED * end)) if np.isfinite(error) else 0,
         tolerated_from=_stays_from(high, tolerance), lost=lost, summary=summary,
-        gained_later=_gain(high, trials),
+        gained_later=1 - end / least if 0 < least < np.inf else 0.0,
     )  # fmt: skip
-
-
-def _gain(errors: np.ndarray, trials: int) -> float:
-    """The share by which the error falls from the least of these trials to the later ones' end.
-
-    The least, since by chance one trial has more; the end is the mean of the last quarter.
-    """
-    least, later = np.min(errors[:trials]), errors[trials - 1 :]
-    last = np.mean(later[-max(len(later) // 4, 1) :])
-    return float(1 - last / least) if 0 < least < np.inf else 0.0
 
 
 def _stays_from(high: np.ndarray, tolerance: float | None) -> int:
@@ -176,7 +162,7 @@ class Question:
         seed = self.seed + after
         population = designed_on(self.machine, self.uncertainty, machines=machines, seed=seed)
         family = family_of(population, self.feedback, self.task, **how)
-        return family._replace(highest=self.highest)
+        return family._replace(highest=self.highest, metric=self.metric)
 
     def safe(
         self, family: Family, names: Sequence[str], told: Told

@@ -34,8 +34,8 @@ from ..tuning.objectives import Final, Holding, Objective
 from ..tuning.risks import Mean, Risk
 from ..uncertainty import takes_population
 from .by_response import FirstTaps, best_of_leads, exchanged, held, radius_in_a_trial, sizes_of
-from .candidates import Candidate, penalty
-from .judging import Proof, Question, Told, Verdict, judged_trials, proof_of
+from .candidates import Candidate, judged_trials, penalty
+from .judging import Proof, Question, Told, Verdict, proof_of
 from .responses import Family, under
 from .window import Filters, ShapedFilter, Window, window_of
 

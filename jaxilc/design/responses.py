@@ -63,6 +63,7 @@ class Family(NamedTuple):
     drawn: {name: (S,)} the numbers of each machine
     population: those that are drawn, without the corners and those that joined
     highest: largest cutoff that is looked for [Hz]
+    metric: by which a law is judged
     """
 
     frequencies: np.ndarray
@@ -74,6 +75,7 @@ class Family(NamedTuple):
     drawn: dict[str, np.ndarray]
     population: Population
     highest: float = np.inf
+    metric: str = "rms"
 
     def advance(self, samples, dt: float) -> np.ndarray:
         """(..., F) z^samples for numbers of samples (...)."""

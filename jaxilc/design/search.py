@@ -14,18 +14,8 @@ from ..pytree.ranges import require
 from ..schemes import Scheme, WithFeedback
 from ..uncertainty import takes_population
 from . import candidates
-from .candidates import Absent, Candidate, tuned
-from .judging import (
-    Limits,
-    Proof,
-    Question,
-    Told,
-    Verdict,
-    judged_trials,
-    limits_of,
-    proof_of,
-    ranked,
-)
+from .candidates import Absent, Candidate, judged_trials, tuned
+from .judging import Limits, Proof, Question, Told, Verdict, limits_of, proof_of, ranked
 from .learned import LEARNED, LearnedLaw
 from .responses import Family
 

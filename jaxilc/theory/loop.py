@@ -240,7 +240,7 @@ def _apart(one, other, samples: int):
     """
     difference = size = 0.0
     with np.errstate(over="ignore", invalid="ignore"):
-        responses = [_impulse_blocks(system, samples) for system in (one, other)]
+        responses = [impulse_blocks(system, samples) for system in (one, other)]
         for y, other_y in zip(*responses, strict=True):
             apart = np.abs(y - other_y)
             if not np.all(np.isfinite(apart)):
@@ -250,7 +250,7 @@ def _apart(one, other, samples: int):
     return difference, size
 
 
-def _impulse_blocks(system, samples: int):
+def impulse_blocks(system, samples: int):
     """C A^k B for k = 0 ... samples - 1, `BLOCK` samples at a time (k, n_y, n_w)."""
     A, B, C = system
     rows, block = [C], min(BLOCK, samples)

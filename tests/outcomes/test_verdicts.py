@@ -20,7 +20,7 @@ from jaxilc.design.judging import Limits, judged_trials, verdict
 from jaxilc.learning import Machine
 from jaxilc.outcomes import certifying, designing
 from jaxilc.outcomes.beginning import list_verdict
-from jaxilc.outcomes.certifying import certify_verdict
+from jaxilc.outcomes.certifying import certificate_sentence, certify_verdict
 from jaxilc.outcomes.outcome import Console, Verdict
 from jaxilc.outcomes.reproducing import _by_paper, reproduce_verdict
 from jaxilc.outcomes.request import REPEATED, Request
@@ -164,6 +164,7 @@ def test_a_design_keeps_the_settings_of_machine_and_feedback():
     ("trials", "factor", "left", "said"),
     [
         (20, 0.5, 0.01, "Stop after trial 12: what later trials gain is less than 5 %."),
+        (20, 0.95, 6.5, "Stop after trial 20: what later trials gain is less than 5 %."),
         (20, 0.99, 0.0, "still falls after trial 20, by 30% to trial 60: more trials than 20"),
         (350, 0.5, 0.01, "Stop after trial 12: what later trials gain is less than 5 %."),
         (350, 0.99, 0.0, "The error still falls in trial 350: more trials leave less."),
@@ -426,12 +427,12 @@ def certificate(reasons, floor=None, observed="falls", grows=(None, None, None, 
 
 
 def test_certify_says_what_is_certified_what_not_and_why():
-    sure = certificate({"monotone": {"x": 5}, "converges": {"y": 3}}, 0.004)
+    sure = certificate({"monotone": {"x": 3}, "converges": {"y": 5}}, 0.004)
     doubt = certificate({"monotone": {"x": 6}, "not claimed": {"it is nonlinear": 2}}, 0.001)
     found = certify_verdict(CASE._replace(learns={"a": 1, "b": 1}), {"b": doubt, "a": sure}, 1e3)
     assert found.said == (
         "b is not certified on 2 of 8 machines: it is nonlinear.",
-        "a is certified on all 8 machines: learning converges, on most of them in every trial and "
+        "a is certified on all 8 machines: learning converges, on 3 of them in every trial and "
         "leaves an rms error of at most 4 mm.",
     )
     name, params = parsed(found)
@@ -441,6 +442,9 @@ def test_certify_says_what_is_certified_what_not_and_why():
     bad = certificate({"diverges": {"an eigenvalue": 1}, "monotone": {"x": 7}}, 0.1)
     found = certify_verdict(CASE, {"ilc": bad}, 1.0)
     assert found.said == ("ilc diverges on 1 of 8 machines: an eigenvalue.",)
+    turns = bad | {"expected": bad["expected"] | {"falls": 7, "turns": 1}}
+    said = certificate_sentence("ilc", 5, turns, 1, "")
+    assert ", 1 diverges. Within 5 trials 1 of 8 machines by theory and 0 by simulation" in said
     assert parsed(found)[0] == "design"
     assert parsed(certify_verdict(published, {"a": doubt}, 1.0))[0] == "sweep"
     one = certify_verdict(CASE, {"ilc": certificate({"diverges": {"an eigenvalue": 1}}, 0.1)}, 1.0)
