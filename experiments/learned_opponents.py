@@ -13,7 +13,6 @@ cutoff as the gradient leaves them; and FFDL-MFAILC.
 
 import dataclasses
 import time
-from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -153,11 +152,11 @@ def best_of_grid(case: Case, family: Family) -> Scheme:
     ]
     laws = predicted_best(family, laws, dt, case.trials)
     few = max(1, int(4e7 / (len(loops) * case.task.N * 8)))  # at a time, to spare memory
-    last = lambda errors: deque(errors, maxlen=1)[0]  # noqa: E731
-    parts = [
-        rms_of(last(simulated(loops, family.first_error, laws[i : i + few], dt, case.trials)))
-        for i in range(0, len(laws), few)
-    ]
+    parts = []
+    for i in range(0, len(laws), few):
+        for e in simulated(loops, family.first_error, laws[i : i + few], dt, case.trials):
+            last = e
+        parts.append(rms_of(last))
     errors = np.nan_to_num(np.concatenate(parts), nan=np.inf)
     best = laws[int(np.argmin(np.quantile(errors, 0.95, axis=1, method="higher")))]
     law = PIDType(gamma_p=best["gamma_p"], lead=best["lead"])

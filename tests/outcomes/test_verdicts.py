@@ -453,7 +453,7 @@ def test_certify_says_what_is_certified_what_not_and_why():
     assert parsed(certify_verdict(published, {"a": turns}, 1.0))[0] == "worst-case"
     turns["expected"]["turns"] = 1
     said = certifying.certificate_sentence("a", 5, turns, 1.0, "mm")
-    assert "1 machine turned after a best trial by theory and 2 by simulation" in said
+    assert "1 of 3 machines by theory and 2 by simulation turned after a best trial" in said
     near = {"MILC": {"value": 1 - 2e-7, "verdict": "holds", "broken": []}}
     assert "0.9999998 is below 1" in certifying.printed_lines("a", {"printed": near})[0]
     assert [*map(beside_1, (1, 1 + 1e-9, 0.99951))] == ["1", "1.000000001", "0.9995"]
