@@ -419,8 +419,8 @@ def export(
     if check is not None:
         if source is not None:
             raise ValueError(f"{source} and --check exclude each other; the folder has its own law")
-        given = {"limit": limit, "scheme": scheme, "set": set_, "params": params}
-        _only_for("a law to write", state=state, **given)
+        given = {"state": state, "limit": limit, "scheme": scheme, "set": set_, "params": params}
+        _only_for("a law to write", **given)
         tell("check_export", pages, check, bar=False)
         return
     if state is not None:

@@ -360,7 +360,7 @@ def best_simulated(
 def _judged(family: Family, laws: list[Found], which, task: Task, trials: int) -> list[Found]:
     """Laws with the errors of the last trial on some machines, by simulation.
 
-    Where it is judged by the largest error, that is the one of all trials by which it is judged.
+    Where the largest error judges, it is that of the trials from this one to the end of the sweep.
     What noise adds to each is that of the frequency response, and its largest of n samples
     sqrt(2 ln n) times its root mean square.
     """
@@ -373,10 +373,11 @@ def _judged(family: Family, laws: list[Found], which, task: Task, trials: int) -
     window = {"max_error": slice(1, None), "settled_error": task.settled}.get(family.metric)
     if window is not None:
         many = max(1.0, np.sqrt(2 * np.log(e[0, 0, window].size)))
-        each = [np.max(np.abs(one[..., window]), axis=(1, 2)) for one in (e, *errors)]
+        of_trials = itertools.chain((e,), errors)
+        each = [np.max(np.abs(one[..., window]), axis=(1, 2)) for one in of_trials]
         judged = np.hypot(np.max(each, axis=0), many * noise)
-    judged = np.where(np.isnan(judged), np.inf, judged)
-    both = zip(laws, rms.tolist(), judged.tolist(), strict=True)
+    rms, judged = (np.where(np.isnan(x), np.inf, x).tolist() for x in (rms, judged))
+    both = zip(laws, rms, judged, strict=True)
     return [one._replace(predicted=r, judged=j) for one, r, j in both]
 
 
@@ -448,9 +449,9 @@ def simulated(
 
     with d_j = F e_j. P is a convolution with the impulse response; Q and the band-stop filter F,
     where a law has one, mirror the trial at its ends and are products after a cosine transform.
-    Nothing is compiled, so laws of many leads cost milliseconds each. Noise and limits are left
-    out. A lead beyond the delay of the plant leaves the last samples of a trial without an error to
-    learn from, of which the frequency response knows nothing.
+    It is NumPy, since JAX would compile anew for each lead. Noise and limits are left out. A lead
+    beyond the delay of the plant leaves the last samples of a trial without an error to learn from,
+    of which the frequency response knows nothing.
 
     error: (N+1,) of the first trial, in which nothing was learned
     laws: numbers gamma_p, gamma_d, lead and cutoff of each, and the edges low and high of F

@@ -35,7 +35,7 @@ from .responses import MACHINES, Family, designed_on, family_of
 Told = Callable[[str, object], object]
 
 LIKE = 1.01  # errors within this factor count as equal; the simpler law is then taken
-SETTLED = 1.05  # factor above the error that is kept, within which a trial counts as settled
+SETTLED = 1.05  # factor above the error at the end, within which a trial counts as settled
 GROWN = 2.0  # factor by which the error may not have grown at the end of the sweep
 
 

@@ -261,7 +261,9 @@ class _InText(Body):
             return args[0] if to == self.type_of(x.args[0].dtype) else f"{way}({listed})"
         if x.name in OF_BITS and kind != "b":  # operations of words of bits, and not of numbers
             word = "LWORD" if x.dtype.itemsize == 8 else "DWORD"
-            words = f" {INFIX[x.name]} ".join(f"TO_{word}({opened(one)})" for one in args)
+            of = rf"{self.type_of(x.dtype)}#\1"  # a number without a type may have fewer bits
+            typed = (re.sub(r"^\(?(-?\d+)\)?$", of, opened(one)) for one in args)
+            words = f" {INFIX[x.name]} ".join(f"TO_{word}({one})" for one in typed)
             return f"TO_{self.type_of(x.dtype)}({words})"
         if x.name in INFIX:
             return f" {INFIX[x.name]} ".join(map(closed, args))

@@ -122,7 +122,7 @@ class _Writer(Lowering):
         self, name: str, params: Parameters, ins: list[Value], outs: Sequence[Value]
     ) -> list[Value]:
         self.steps.append(Step(name, params, ins, [*outs]))
-        if elementwise(name):  # Unknown where operands of these types have no such operation
+        if elementwise(name):  # Unknown where these types have none, though nobody may read it
             formula(self.steps[-1])
         return [*outs]
 

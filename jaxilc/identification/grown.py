@@ -252,7 +252,7 @@ def bounds(signals: Signals, parts: Parts) -> tuple[Numbers, Numbers]:
 def refined(signals: Signals, parts: Parts, steps: int) -> Fitted:
     """The parts after some steps of the search for their poles; a delay counts as a parameter.
 
-    So does what may imitate one of a sample, a direct term, once more.
+    A direct term counts once more, since it may imitate a delay of one sample.
     """
     y = signals.wanted(parts)
     found, _ = searched(
@@ -271,7 +271,7 @@ def criterion(signals: Signals, parts: Parts, left: Numbers, parameters: int) ->
     As parameters of their own they would cost more than they can gain, so that a machine in motion
     would seem to answer before its dead time is over.
     """
-    even = len(left) / (len(left) - signals.left_out(parts))
+    even = len(left) / max(len(left) - signals.left_out(parts), 1)
     return information(np.sqrt(even) * left, parameters, SMALLEST)
 
 
@@ -819,7 +819,8 @@ def grow(
     if delay is None:  # a delay that is far off would be left sample by sample, or by more poles
         most = start.parts.order
         orders = {most} if fixed else {most, *range(1, min(most, SIMPLE))}
-        others = [steps[n].parts._replace(delay=d) for n in orders for d in DELAYS if d <= late]
+        others = [steps[n].parts._replace(delay=d) for n in orders
+                  for d in DELAYS if d <= late and d != began]  # fmt: skip
         others = [refined(signals, parts, SHORT) for parts in others if long_enough(signals, parts)]
         start = min([start, *others], key=lambda one: one.bic)
     improve = partial(improved, signals, delays=delays, highest=highest, each=say)

@@ -311,7 +311,7 @@ def _numbers(path, names, at: list[int], rows, inputs: int) -> tuple[np.ndarray,
                 "not a finite number"
             )
             if i == 0:
-                wrong += f"; allowed are s, ms, us or ns, as its heading tells. Else {COUNTED}"
+                wrong += f"; allowed are numbers of s, ms, us or ns. Else {COUNTED}"
             if text or not 0 < i <= inputs:  # the last row may have no input
                 raise ValueError(wrong)
         values.append(found)
@@ -417,8 +417,8 @@ DOUBTFUL = 0.1
 # Share of the sample time by which a step of a record's time may differ from the others.
 STEP_TOLERANCE = 0.01
 COUNTED = (
-    "rows that are one sample time apart are counted by --time with a name that it does not have, "
-    "and --dt (time, dt)"
+    "rows that are one sample time apart are counted with --dt and a --time that is no column of "
+    "the file (dt, time)"
 )
 _WITH_UNIT = re.compile(r"^(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 

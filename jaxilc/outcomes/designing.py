@@ -272,7 +272,7 @@ def safety_said(proof: Proof, uncertainty: Uncertainty) -> str:
     )
     if proof.machine:
         at = machine_said(proof.machine, uncertainty)
-        said += f" on the worst of {proof.machines} machines ({at})"
+        said += f" on the worst of {several(proof.machines, 'machine')} ({at})"
     said += f"{_beyond(proof)}. Theory claims for the long run, of the nominal machine: {nominal}"
     said += f"; of the worst: {worst}." if proof.machine else "."
     doubts = {r for c, r in zip(proof.claims, proof.reasons, strict=True) if c == "not claimed"}

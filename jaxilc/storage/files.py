@@ -90,14 +90,14 @@ def whole_folder(path: str | Path, *, replace: bool = False) -> Generator[Path]:
     with _aside(path.parent, Path.mkdir) as unfinished:
         try:
             yield unfinished
+            for folder, _, names in os.walk(unfinished):
+                for name in names:
+                    to_disk(Path(folder, name))
+                to_disk(Path(folder))
         except OSError as error:
             if error.errno and error.filename is None:  # as where the disk is full
                 error.filename = str(path)
             raise
-        for folder, _, names in os.walk(unfinished):
-            for name in names:
-                to_disk(Path(folder, name))
-            to_disk(Path(folder))
         made = FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
         if replace and path.exists():
             _exchange(unfinished, path)

@@ -168,7 +168,7 @@ def test_what_a_machine_may_differ_by_is_rounded_down_and_of_its_closed_loop(fur
     proof = proof._replace(without="variation.late = 40", machine={"plant.gain": 0.7})
     told = safety_said(proof, WIDE)
     assert "(of trials without variation.late = 40) is at most 0.9" in told
-    assert "of 1 machines (plant.gain x 0.7)" in told, "a factor, and no gain of 0.7"
+    assert "of 1 machine (plant.gain x 0.7)" in told, "a factor, and no gain of 0.7"
 
 
 @pytest.fixture

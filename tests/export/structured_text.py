@@ -100,6 +100,7 @@ def _called(name, given, kinds):
     if conversion := re.fullmatch(r"(\w+_)?TO_(\w+)", name):
         of, to = conversion.groups()
         assert of in (None, f"{found[0]}_")
+        assert not (to.endswith("WORD") and found[0] == "whole"), "of how many bits?"
         return to, f"to('{to}', {given[0][1]})"
     if name == "SEL":
         assert found.pop(0) == "BOOL"
@@ -111,6 +112,7 @@ def _called(name, given, kinds):
 def _expression(text, to, kinds):
     """An expression that is given to a type, in Python."""
     text = re.sub(r"(?<![<>:!])=(?!=)", " == ", text.replace("<>", " != "))
+    text = re.sub(r"\b(\w+)#(-?\d+)", r"TO_\1(\2)", text)
     text = re.sub(rf"\b({'|'.join(WORDS)})\b", lambda m: WORDS[m[1]], text)
     kind, text = _typed(ast.parse(text, mode="eval").body, kinds)
     assert _common(kind, to) == to, (text, kind, to)

@@ -74,7 +74,7 @@ REFUSED = [
     ("t [ms],u,y [mm],y (um)\n0,1,2,3\n1,2,3,4\n", "has 2 columns 'y'; allowed is one"),
     ("t,u,z\n0,1,2\n1,1,2\n",
      r"no column 'y'; present are t, u, z; --output \(output\) names another"),
-    ("t,u,y\n12:00:00.1,1,2\n", "line 2: t = '12:00:00.1' is not a finite number; allowed are s"),
+    ("t,u,y\n12:00:00.1,1,2\n", "line 2: t = '12:00:00.1' is not a finite number; allowed are num"),
     ("t,u,y\n0,1,2\n1,x,2\n", "line 3: u = 'x' is not a finite number"),
     ("t,u,y\n0,1,2\n\n1,1,2\n2,1,nan\n", "line 5: y = 'nan' is not a finite number"),
     ("t,u,y\n0,1,2\n1,1\n", "line 3: y = '' is not a finite number"),

@@ -537,6 +537,31 @@ def test_feedback_loops_nest():
     assert_equal(run("arx", WithFeedback(WithFeedback(law, PID(kp=0.5)), PID(kp=0.2))), expected)
 
 
+def test_on_outputs():
+    """A scheme that gets output 1 of (0, 1) learns from that output alone."""
+    A, B, C = np.array([[0.9, 0.1], [0.3, 0.6]]), np.array([0.2, 0.0]), np.eye(2)
+    r = np.stack([0 * R, R], axis=1)
+    scheme = OnOutputs(PIDType(gamma_p=0.5, lead=1), (1,))
+    of_package = learn(
+        Machine(StateSpace(A, B[:, None], C, dt=DT)),
+        scheme,
+        Task(r, dt=DT, inputs=1),
+        TRIALS,
+        save=everything,
+    ).saved
+    u = np.zeros(N)
+    for j in range(TRIALS):
+        x = np.zeros((N + 1, 2))
+        for k in range(N):
+            x[k + 1] = A @ x[k] + B * u[k]
+        np.testing.assert_allclose(of_package[0][j], x, **ALGEBRA)
+        np.testing.assert_allclose(of_package[1][j, :, 0], u, **ALGEBRA)
+        u = np.array(
+            [u[k] + 0.5 * (R[k + 2] - x[k + 2, 1] if k + 2 <= N else 0.0) for k in range(N)]
+        )
+    assert np.max(np.abs(u)) > 0.1
+
+
 def test_ffdl_with_the_true_model_takes_off_a_share_rho_of_the_error_in_each_trial():
     """Equation 25 with Phi the ARX vector and lam -> 0 gives e_{j+1} = (1 - rho_c) e_j.
 
