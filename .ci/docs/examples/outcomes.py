@@ -97,7 +97,7 @@ say(found)
 
 # %% design (slow)
 say(outcomes.design("axis.toml", laws=("p-type",), machines=8, steps=2))
-# Take p-type: P-type with lead and filter, gamma_p = 1.393, cutoff = 101 Hz, lead = 6
+# Take p-type: P-type with lead and filter, gamma_p = 0.9956, cutoff = 29.82 Hz, lead = 4
 # samples.
 
 # %% learn_law (slow)
