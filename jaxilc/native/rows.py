@@ -882,7 +882,9 @@ class _Build:
 
     def before(self, row: Result, back: int) -> Array:
         """The cells with the results of a scan of this loop that many samples before."""
-        cells = self.lately.setdefault(row, [])
+        carried = row.scan.carried(row)
+        own = [] if carried is None else [row.scan.cells[carried]]  # which the scan itself fills
+        cells = self.lately.setdefault(row, own)
         while len(cells) < back:
             cells.append(self.of.new_cells(row.of_one, row.dtype, loop=self.number + 1))
         return cells[back - 1]
@@ -891,7 +893,7 @@ class _Build:
         """Let the cells of `before` hold what the next sample sees there."""
         here = {row: x for row, _, x in segment.results}
         for row, cells in self.lately.items():
-            if row in here:
+            if row in here and row.scan.carried(row) is None:
                 segment.cells.extend(zip(cells[0].flat, here[row].flat, strict=True))
             for newer, older in itertools.pairwise(cells):
                 inside = _inside_loop(self.n, newer)
@@ -1054,9 +1056,6 @@ class _At(_Rows):
                 return self.run(scan)[row.number]
             back = self.of.direction * (scan.offset - c)
             assert back > 0
-            carried = scan.carried(row)
-            if back == 1 and carried is not None and self.active(scan):
-                return _inside_loop(self.n, scan.cells[carried])
             if back <= LATELY:
                 return _inside_loop(self.n, self.of.before(row, back))
         return self._load(self.of.of.kept(row), row, sign, c)
