@@ -18,10 +18,12 @@ from .options import (
     SCENARIO,
     Columns,
     Details,
+    FileToWrite,
     GridAxes,
     InputColumn,
     Machines,
     MetricName,
+    OneScheme,
     OneSimulated,
     OutputColumn,
     Pages,
@@ -46,7 +48,6 @@ from .options import (
     names_in,
     of_list,
     scenarios_from,
-    schemes_from,
 )
 from .present import present, tell
 from .progress import run_search, run_sweep
@@ -56,26 +57,23 @@ if TYPE_CHECKING:
 
 
 def init(
-    file: Annotated[
-        Path, Argument(metavar="[FILE]", help="The file to write.", callback=file_to_write)
-    ] = Path("axis.toml"),
-    set_point: Annotated[
-        bool,
-        Option("--set-point", help="Correct the set-point of a closed drive: u is r in trial 1."),
-    ] = False,
-    record: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="With --set-point: a recorded move of the drive, as columns."),
-    ] = None,
-    time_name: TimeColumn = "t",
-    input_name: InputColumn = "u",
-    output_name: OutputColumn = "y",
-    force: Annotated[bool, Option("--force", help="Replace a file that exists.")] = False,
+    file: Annotated[Path, Argument(callback=file_to_write)] = Path("axis.toml"),
+    set_point: bool = False,
+    record: Path | None = None,
+    time: TimeColumn = "t",
+    input: InputColumn = "u",
+    output: OutputColumn = "y",
+    force: bool = False,
 ) -> None:
     """Write a plant file with comments: a machine, its task, schemes and uncertainty.
 
     With --set-point and --record the machine is fitted to the record, whose set-point is the task,
     and the law is one that learns on it.
+
+    file [FILE]: The file to write.
+    set_point: Correct the set-point of a closed drive: u is r in trial 1.
+    record FILE: With --set-point: a recorded move of the drive, as columns.
+    force: Replace a file that exists.
 
     Example: jaxilc init axis.toml
     """
@@ -83,7 +81,7 @@ def init(
 
     if record is not None:
         begin()
-    columns = {"time": time_name, "input": input_name, "output": output_name}
+    columns = {"time": time, "input": input, "output": output}
     made = beginning.init(file, set_point=set_point, record=record, force=force, **columns)
     present(made, Pages())
 
@@ -99,15 +97,10 @@ def demo(written: Written) -> None:
     tell("demo", written)
 
 
-def list_(
-    scenario: Annotated[
-        str | None,
-        Argument(
-            metavar="[SCENARIO]", help="Show all that can be set.", autocompletion=scenarios_from
-        ),
-    ] = None,
-) -> None:
+def list_(scenario: Annotated[str | None, Argument(autocompletion=scenarios_from)] = None) -> None:
     """List the scenarios, or all that can be set in one.
+
+    scenario [SCENARIO]: Show all that can be set.
 
     Example: jaxilc list cao-2019
     """
@@ -123,12 +116,12 @@ def run(
     written: Written,
     metric: MetricName = None,
     seed: Seed = 0,
-    replace: Annotated[
-        bool, Option("--replace", help="Replace the run of other settings in the folder.")
-    ] = False,
+    replace: bool = False,
     details: Details = False,
 ) -> None:
     """Learn on the nominal machine: errors beside the published ones, figures, dataset.
+
+    replace: Replace the run of other settings in the folder.
 
     Example: jaxilc run cao-2019 --scheme ffdl-mfailc --set ffdl-mfailc.lam=0.5
     """
@@ -142,31 +135,21 @@ def sweep(
     seed: Seed = 0,
     spread: Spread = None,
     metric: MetricName = None,
-    tolerance: Annotated[
-        float | None, Option(help="Largest metric that passes, the one tables show, in its unit.")
-    ] = None,
+    tolerance: float | None = None,
     grid: GridAxes = None,
     resume: Resume = False,
-    dask: Annotated[
-        str | None,
-        Option(
-            metavar="ADDRESS",
-            help="Compute on workers of this Dask scheduler: its address, or the file it wrote.",
-        ),
-    ] = None,
-    bounds: Annotated[
-        bool,
-        Option(
-            "--bounds",
-            help="Contraction of each trial; d1, d2 and premises of Cao 2019, on each machine.",
-        ),
-    ] = False,
+    dask: str | None = None,
+    bounds: bool = False,
     sampling: Annotated[str | None, left("--sampling", "Sweep(sampling=...) does it")] = None,
     keep: Annotated[list[str] | None, left("--keep", "Sweep(keep=...) does it")] = None,
 ) -> None:
     """Schemes against many uncertain machines: yield, quantiles, worst case, figure, dataset.
 
     With --grid they run at every point of a grid; tables and figure are those of the best point.
+
+    tolerance: Largest metric that passes, the one tables show, in its unit.
+    dask ADDRESS: Compute on workers of this Dask scheduler: its address, or the file it wrote.
+    bounds: Contraction of each trial; d1, d2 and premises of Cao 2019, on each machine.
 
     Example: jaxilc sweep cao-2019 --machines 4096 --spread 0.2 --out out/wide
     """
@@ -201,33 +184,16 @@ def certify(
 
 
 def potential(
-    record: Annotated[
-        list[str],
-        Argument(
-            metavar="RECORD...",
-            help="Files with one trial each or with several, or the folder of a campaign.",
-        ),
-    ],
+    record: Annotated[list[str], Argument()],
     written: Written,
-    error: Annotated[
-        str, Option(metavar="NAME", help="Column or array of the error; e_0, e_1 ... too.")
-    ] = "e",
-    output_name: OutputColumn = "y",
-    reference: Annotated[
-        str, Option(metavar="NAME", help="Of the reference, for a file without the error.")
-    ] = "r",
-    time_name: TimeColumn = "t",
-    dt: Annotated[float | None, Option(help="Sample time in s, without times.")] = None,
-    unit: Annotated[str, Option(help="Of the error, where no heading tells it.")] = "",
+    error: str = "e",
+    output: OutputColumn = "y",
+    reference: str = "r",
+    time: TimeColumn = "t",
+    dt: float | None = None,
+    unit: str = "",
     columns: Columns = None,
-    into: Annotated[
-        Path | None,
-        Option(
-            metavar="FILE",
-            help="Plant file that gets what is found, for `design` and `next`.",
-            callback=file_to_write,
-        ),
-    ] = None,
+    into: FileToWrite = None,
 ) -> None:
     """Is learning worth it, up to which frequency, and when is it done?
 
@@ -237,33 +203,40 @@ def potential(
     whether what repeats does so in a period or in the position within the trial, and
     which law follows.
 
+    record RECORD...: Files with one trial each or with several, or the folder of a campaign.
+    error NAME: Column or array of the error; e_0, e_1 ... too.
+    reference NAME: Of the reference, for a file without the error.
+    dt: Sample time in s, without times.
+    unit: Of the error, where no heading tells it.
+    into FILE: Plant file that gets what is found, for `design` and `next`.
+
     Example: jaxilc potential trial-1.csv trial-2.csv trial-3.csv trial-4.csv
     """
     tell(
-        "potential", written, record, into=into, unit=unit, error=error, output=output_name,
-        reference=reference, time=time_name, dt=dt, columns=names_in(columns),
+        "potential", written, record, into=into, unit=unit, error=error, output=output,
+        reference=reference, time=time, dt=dt, columns=names_in(columns),
     )  # fmt: skip
 
 
 def worst_case(
     what: OneSimulated,
     written: Written,
-    trial: Annotated[
-        int | None,
-        Option(help="Trial whose metric is to be large; the scenario's last if not given."),
-    ] = None,
-    starts: Annotated[int, Option(help="Places to climb from.")] = 16,
-    steps: Annotated[int, Option(help="Steps of each climb.")] = 30,
-    evaluations: Annotated[
-        int | None,
-        Option(help="Learning processes to spend on either search, in place of --steps."),
-    ] = None,
-    draws: Annotated[int | None, Option(help="A larger search by chance besides.")] = None,
+    trial: int | None = None,
+    starts: int = 16,
+    steps: int = 30,
+    evaluations: int | None = None,
+    draws: int | None = None,
     seed: Seed = 0,
 ) -> None:
     """The worst machine by climbing the gradient of its error, against machines drawn by chance.
 
     A gradient counts as three evaluations on top of the one that it belongs to.
+
+    trial: Trial whose metric is to be large; the scenario's last if not given.
+    starts: Places to climb from.
+    steps: Steps of each climb.
+    evaluations: Learning processes to spend on either search, in place of --steps.
+    draws: A larger search by chance besides.
 
     Example: jaxilc worst-case cao-2019 --scheme cfdl-mfailc --trial 40 --draws 10000
     """
@@ -282,16 +255,12 @@ def tune(
     how: Tuned,
     written: Written,
     objective: Annotated[str, Option(help=TERMS)] = "final",
-    limit: Annotated[
-        list[str] | None,
-        Option(
-            metavar="NAME=MOST",
-            help="Largest d2 (Cao 2019, every machine) or contraction (nominal); repeatable.",
-        ),
-    ] = None,
+    limit: list[str] | None = None,
     compare_trials: Annotated[int | None, in_python("--compare-trials")] = None,
 ) -> None:
     """Tune weights by gradient through the learning, and compare them on machines not seen.
+
+    limit NAME=MOST: Largest d2 (Cao 2019, every machine) or contraction (nominal); repeatable.
 
     Example: jaxilc tune cao-2019 --scheme cfdl-mfailc --weights lam,eta,mu,phi0
     --set cfdl-mfailc.lead=3 --objective holding:20
@@ -310,9 +279,7 @@ def pareto(
     objective: Annotated[
         list[str] | None, Option(metavar="TERMS", help=f"Give two, or one and --budgets. {TERMS}")
     ] = None,
-    budgets: Annotated[
-        str | None, Option(metavar="J,K,L", help="Numbers of trials to tune for.")
-    ] = None,
+    budgets: str | None = None,
     first: Annotated[str | None, left("--first", "--objective, given first, does it")] = None,
     second: Annotated[str | None, left("--second", "--objective, given twice, does it")] = None,
     shares: Annotated[str | None, in_python("--shares")] = None,
@@ -321,6 +288,8 @@ def pareto(
 
     Give --objective twice for the former, --budgets for the latter. Each point is a tuning by
     itself, from the weights as given, and leaves a parameter file. With --resume, more may follow.
+
+    budgets J,K,L: Numbers of trials to tune for.
 
     Example: jaxilc pareto li-2020 --scheme fixed-filter --weights learning.filter.cutoff=2:200
     --objective final --objective effort --trials 15 --steps 20
@@ -340,28 +309,17 @@ def pareto(
 
 def reproduce(
     written: Written,
-    scenario: Annotated[
-        list[str] | None,
-        Argument(
-            metavar="[SCENARIO]...",
-            help="Scenarios; all if none is given.",
-            autocompletion=scenarios_from,
-        ),
-    ] = None,
-    reading: Annotated[
-        str | None,
-        Option(
-            "--reading",
-            metavar="NAME",
-            help="Reading of a paper that has several; the one that is taken if none is given.",
-        ),
-    ] = None,
+    scenario: Annotated[list[str] | None, Argument(autocompletion=scenarios_from)] = None,
+    reading: str | None = None,
     details: Details = False,
 ) -> None:
     """Every published number and conclusion beside ours, and how the paper was read.
 
     Printed are a line for each paper, and what is not met; --details says why. With --out there is
     a picture for each paper, with the printed numbers and ours; a report has all rows.
+
+    scenario [SCENARIO]...: Scenarios; all if none is given.
+    reading NAME: Reading of a paper that has several; the one that is taken if none is given.
 
     Example: jaxilc reproduce cao-2019 --reading amplitude --report out/cao-2019.html
     """
@@ -371,37 +329,12 @@ def reproduce(
 def export(
     pages: Pages,
     source: Annotated[str | None, SCENARIO] = None,
-    format_: Annotated[
-        str,
-        Option(
-            "--format",
-            help="c, fmu, hal (LinuxCNC) or st (Structured Text).",
-            autocompletion=of_list("c", "fmu", "hal", "st"),
-        ),
-    ] = "c",
-    out_dir: Annotated[
-        Path,
-        Option("--out", metavar="FOLDER", help="Where it is written.", callback=folder_to_write),
-    ] = Path("law"),
-    check: Annotated[
-        Path | None,
-        Option(
-            "--check",
-            metavar="FOLDER",
-            help="Prove that code, vectors and certificate of a folder belong together.",
-        ),
-    ] = None,
-    state: Annotated[
-        Path | None,
-        Option("--state", metavar="FOLDER", help="Start with what a campaign has learned."),
-    ] = None,
-    limit: Annotated[
-        float | None,
-        Option(help="Largest |input|, never exceeded; the machine's own if not given."),
-    ] = None,
-    number: Annotated[
-        str, Option(help="double or float.", autocompletion=of_list("double", "float"))
-    ] = "double",
+    format: Annotated[str, Option(autocompletion=of_list("c", "fmu", "hal", "st"))] = "c",
+    out: Annotated[Path, Option(callback=folder_to_write)] = Path("law"),
+    check: Path | None = None,
+    state: Path | None = None,
+    limit: float | None = None,
+    number: Annotated[str, Option(autocompletion=of_list("double", "float"))] = "double",
     scheme: Schemes = None,
     machines: Machines = 64,
     seed: Seed = 0,
@@ -413,6 +346,13 @@ def export(
     The law is the traced program itself: C99 without allocation, an FMU, a
     component of LinuxCNC or a function block in Structured Text. Its guard goes
     back to the last good input where `next` refuses a trial.
+
+    format: c, fmu, hal (LinuxCNC) or st (Structured Text).
+    out FOLDER: Where it is written.
+    check FOLDER: Prove that code, vectors and certificate of a folder belong together.
+    state FOLDER: Start with what a campaign has learned.
+    limit: Largest |input|, never exceeded; the machine's own if not given.
+    number: double or float.
 
     Example: jaxilc export axis.design.toml --limit 10 --out law
     """
@@ -427,8 +367,8 @@ def export(
         _only_for("a scenario", scheme=scheme, set=set_, params=params)
     request = None if source is None else asked(source, scheme, set_, params=params)
     tell(
-        "export", pages, request, format=format_, state=state, limit=limit, number=number,
-        machines=machines, seed=seed, folder=out_dir,
+        "export", pages, request, format=format, state=state, limit=limit, number=number,
+        machines=machines, seed=seed, folder=out,
     )  # fmt: skip
 
 
@@ -457,68 +397,26 @@ def _zeros(zeros: str | None) -> int | str | None:
 
 def identify(
     pages: Pages,
-    record: Annotated[
-        Path | None,
-        Argument(
-            metavar="RECORD",
-            help="Columns of time, input, output; or of a frequency response; or .npz, .mat.",
-        ),
-    ] = None,
-    state: Annotated[
-        Path | None,
-        Option(
-            "--state", help="Folder of a campaign, whose trials are the record, in place of one."
-        ),
-    ] = None,
-    poles: Annotated[int | None, Option(help="Real poles; 1 if not given.")] = None,
-    pairs: Annotated[
-        int | None, Option(help="Pairs of poles, real or complex; 1 if not given.")
-    ] = None,
-    zeros: Annotated[
-        str | None,
-        Option(
-            metavar="N|any", help="Real zeros, or `any`, real and complex ones; 1 if not given."
-        ),
-    ] = None,
-    delay: Annotated[
-        int | None,
-        Option(help="Dead time in samples; chosen by --auto, fitted to a response, else 0."),
-    ] = None,
-    auto: Annotated[
-        bool,
-        Option(
-            "--auto",
-            help="Choose poles, zeros and delay, complex zeros, too; with --state real zeros.",
-        ),
-    ] = False,
-    time_name: TimeColumn = "t",
+    record: Annotated[Path | None, Argument()] = None,
+    state: Path | None = None,
+    poles: int | None = None,
+    pairs: int | None = None,
+    zeros: str | None = None,
+    delay: int | None = None,
+    auto: bool = False,
+    time: TimeColumn = "t",
     time_unit: Annotated[
         str | None, left("--time-unit", "the unit in the heading of the times does it")
     ] = None,
-    input_name: InputColumn = "u",
-    output_name: OutputColumn = "y",
+    input: InputColumn = "u",
+    output: OutputColumn = "y",
     columns: Columns = None,
-    dt: Annotated[
-        float | None,
-        Option(
-            help="Sample time in s: of a file without times, of a response's hold; new for others."
-        ),
-    ] = None,
-    validate: Annotated[
-        Path | None,
-        Option(metavar="FILE", help="A second record, of the same columns, which judges."),
-    ] = None,
+    dt: float | None = None,
+    validate: Path | None = None,
     resample: Annotated[float | None, left("--resample", "--dt DT does it")] = None,
     averages: Averages = None,
-    out_dir: Annotated[
-        Path | None,
-        Option(
-            "--out",
-            help="Plant file FILE.toml to write; or folder for figures, out/identify otherwise.",
-            callback=_place_to_write,
-        ),
-    ] = None,
-    force: Annotated[bool, Option("--force", help="Replace a plant file.")] = False,
+    out: Annotated[Path | None, Option(callback=_place_to_write)] = None,
+    force: bool = False,
 ) -> None:
     """A plant from a recorded experiment or a measured frequency response, with its reliability.
 
@@ -528,6 +426,18 @@ def identify(
     With --state the record is what a campaign of `jaxilc next` has measured; the plant
     file is then that of the campaign, with the fitted plant in it.
 
+    record RECORD: Columns of time, input, output; or of a frequency response; or .npz, .mat.
+    state: Folder of a campaign, whose trials are the record, in place of one.
+    poles: Real poles; 1 if not given.
+    pairs: Pairs of poles, real or complex; 1 if not given.
+    zeros N|any: Real zeros, or `any`, real and complex ones; 1 if not given.
+    delay: Dead time in samples; chosen by --auto, fitted to a response, else 0.
+    auto: Choose poles, zeros and delay, complex zeros, too; with --state real zeros.
+    dt: Sample time in s: of a file without times, of a response's hold; new for others.
+    validate FILE: A second record, of the same columns, which judges.
+    out: Plant file FILE.toml to write; or folder for figures, out/identify otherwise.
+    force: Replace a plant file.
+
     Example: jaxilc identify record.csv --auto --out axis.toml
     """
     counts = {"poles": poles, "pairs": pairs, "zeros": _zeros(zeros)}
@@ -536,10 +446,10 @@ def identify(
             raise ValueError(f"--{name} {value} is not allowed with --auto, which chooses it")
     at_least(0, delay=delay)
     at_least(2, averages=averages)
-    plant_file = out_dir if _is_plant_file(out_dir) else None
+    plant_file = out if _is_plant_file(out) else None
     if plant_file is not None and plant_file.exists() and not force:
         raise FileExistsError(f"{plant_file} exists already; add --force to replace it")
-    folder = None if plant_file is not None else out_dir
+    folder = None if plant_file is not None else out
     if state is not None:
         if zeros == "any":
             raise ValueError("--zeros any is for a RECORD; with --state it is a number")
@@ -560,7 +470,7 @@ def identify(
     structure = {name: 1 if value is None else value for name, value in counts.items()}
     reading = {
         "structure": {} if auto else structure, "delay": delay, "dt": dt, "averages": averages,
-        "time": time_name, "input": input_name, "output": output_name, "time_unit": time_unit,
+        "time": time, "input": input, "output": output, "time_unit": time_unit,
         "columns": names_in(columns), "resample": resample,
     }  # fmt: skip
     tell(
@@ -576,41 +486,21 @@ TAPS = 41  # of each filter that --synthesise finds
 
 
 def filter_(
-    source: Annotated[
-        list[str],
-        Argument(
-            metavar="SCENARIO|FRF.csv...",
-            help="Of `jaxilc list`, a TOML or JSON file, or measured frequency responses.",
-        ),
-    ],
+    source: Annotated[list[str], Argument()],
     written: Written,
     scheme: Schemes = None,
-    margin: Annotated[float, Option(help="1 - |Q (1 - L P)| that an offer keeps.")] = 0.1,
-    vary: Annotated[
-        list[str] | None,
-        Option(
-            "--vary",
-            metavar="PATH=SHARE",
-            help="Instead of the file's uncertainty: plant.gain=15%; repeatable.",
-        ),
-    ] = None,
+    margin: float = 0.1,
+    vary: list[str] | None = None,
     spread: Spread = None,
-    machines: Annotated[
-        int | None, Option(help="Machines drawn, beside all corners; 32 if not given.")
-    ] = None,
+    machines: int | None = None,
     seed: Seed = 0,
     set_: Set = None,
     params: Params = None,
-    gain: Annotated[float | None, Option(help="Learning gain, for an FRF.")] = None,
-    lead: Annotated[
-        int | None, Option(help="Lead of the learning [samples], for an FRF; 0 if not given.")
-    ] = None,
-    cutoff: Annotated[float | None, Option(help="Of the filter [Hz], for an FRF.")] = None,
-    dt: Annotated[float | None, Option(help="Sample time [s], for an FRF.")] = None,
-    taps: Annotated[
-        int | None,
-        Option(metavar="N", help="Find filters Q and L of N taps by convex optimisation too."),
-    ] = None,
+    gain: float | None = None,
+    lead: int | None = None,
+    cutoff: float | None = None,
+    dt: float | None = None,
+    taps: int | None = None,
     sampling: Annotated[str | None, left("--sampling", FILTER_DOES.format(""))] = None,
     order: Annotated[int | None, left("--order", MEASURED)] = None,
     sigmas: Annotated[float | None, left("--sigmas", MEASURED)] = None,
@@ -622,6 +512,17 @@ def filter_(
 
     |Q (1 - L P)| below 1 at every frequency, for every machine of the uncertainty or every line of
     a measured response, with the largest cutoff, gain and lead that keep a margin.
+
+    source SCENARIO|FRF.csv...: Of `jaxilc list`, a TOML or JSON file, or measured frequency
+        responses.
+    margin: 1 - |Q (1 - L P)| that an offer keeps.
+    vary PATH=SHARE: Instead of the file's uncertainty: plant.gain=15%; repeatable.
+    machines: Machines drawn, beside all corners; 32 if not given.
+    gain: Learning gain, for an FRF.
+    lead: Lead of the learning [samples], for an FRF; 0 if not given.
+    cutoff: Of the filter [Hz], for an FRF.
+    dt: Sample time [s], for an FRF.
+    taps N: Find filters Q and L of N taps by convex optimisation too.
 
     Example: jaxilc filter axis.toml --vary plant.B=15%
     """
@@ -666,20 +567,19 @@ INSTEAD = "outcomes.learn_law({}=...) in Python does it"
 
 @dataclasses.dataclass(frozen=True)
 class ForMachine:
-    """The machine that a law is for, and how the law is judged."""
+    """The machine that a law is for, and how the law is judged.
 
-    plant_file: Annotated[
-        str, Argument(metavar="FILE", help="Plant file, TOML or JSON; see `jaxilc init`.")
-    ]
-    scheme: Annotated[
-        str | None,
-        Option(help="Scheme of the file whose feedback is taken.", autocompletion=schemes_from),
-    ] = None
-    margin: Annotated[
-        float, Option(help="Least distance of |Q (1 - L P)| from 1, on every machine.")
-    ] = 0.05
+    plant_file FILE: Plant file, TOML or JSON; see `jaxilc init`.
+    scheme: Scheme of the file whose feedback is taken.
+    margin: Least distance of |Q (1 - L P)| from 1, on every machine.
+    machines: Machines that judge.
+    """
+
+    plant_file: Annotated[str, Argument()]
+    scheme: OneScheme = None
+    margin: float = 0.05
     trials: Trials = None
-    machines: Annotated[int, Option(help="Machines that judge.")] = 257
+    machines: int = 257
     spread: Spread = None
     seed: Seed = 0
     set_: Set = None
@@ -687,50 +587,26 @@ class ForMachine:
 
 @dataclasses.dataclass(frozen=True)
 class LawWritten(Written):
-    """The plant file that is left, the folder of the state, and where else results go."""
+    """The plant file that is left, the folder of the state, and where else results go.
 
-    out_dir: Annotated[
-        Path | None,
-        Option(
-            "--state",
-            help="Folder for the state; out/COMMAND-NAME if not given.",
-            callback=folder_to_write,
-        ),
-    ] = None
-    out_file: Annotated[
-        Path | None,
-        Option(
-            "--out",
-            metavar="FILE",
-            help="Plant file to write; beside the one given, as axis.design.toml or "
-            "axis.learned.toml, if not given.",
-            callback=file_to_write,
-        ),
-    ] = None
-    force: Annotated[bool, Option("--force", help="Replace that file, and its state.")] = False
+    out_dir: Folder for the state; out/COMMAND-NAME if not given.
+    out FILE: Plant file to write; beside the one given, as axis.design.toml or axis.learned.toml,
+        if not given.
+    force: Replace that file, and its state.
+    """
+
+    out_dir: Annotated[Path | None, Option("--state", callback=folder_to_write)] = None
+    out: FileToWrite = None
+    force: bool = False
     resume: Resume = False
 
 
 def design(
     what: ForMachine,
     written: LawWritten,
-    law: Annotated[
-        list[str] | None,
-        Option(
-            metavar="LAW",
-            help="Law to try; repeatable. All if not given.",
-            autocompletion=of_list(*LAWS),
-        ),
-    ] = None,
-    steps: Annotated[int, Option(help="Steps of each tuning at most.")] = 30,
-    record: Annotated[
-        list[str] | None,
-        Option(
-            metavar="FILE",
-            help="Trial without learning, with columns e or y and r; repeatable. It tells in what "
-            "the error repeats.",
-        ),
-    ] = None,
+    law: Annotated[list[str] | None, Option(autocompletion=of_list(*LAWS))] = None,
+    steps: int = 30,
+    record: list[str] | None = None,
 ) -> None:
     """Which learning law for this machine, with which weights, is it safe, and what will it reach.
 
@@ -740,6 +616,11 @@ def design(
     takes. With --record it says whether the error repeats from trial to trial, in a
     period or in the position, and writes the law that follows beside it.
 
+    law LAW: Law to try; repeatable. All if not given.
+    steps: Steps of each tuning at most.
+    record FILE: Trial without learning, with columns e or y and r; repeatable. It tells in what the
+        error repeats.
+
     Example: jaxilc design axis.toml
     """
     _tell("design", what, written, laws=law, steps=steps, record=record)
@@ -748,15 +629,9 @@ def design(
 def learn_law(
     what: ForMachine,
     written: LawWritten,
-    taps: Annotated[
-        str, Option(metavar="L,Q", help="Odd numbers of taps of L and of Q.")
-    ] = "61,31",
-    limit: Annotated[
-        float | None, Option(help="Largest |u| that is learned; none if not given.")
-    ] = None,
-    steps: Annotated[
-        int, Option(help="Steps through learning; 0 for the frequency response alone.")
-    ] = 60,
+    taps: str = "61,31",
+    limit: float | None = None,
+    steps: int = 60,
     start: Annotated[str | None, left("--start", INSTEAD.format("start"))] = None,
     segments: Annotated[str, left("--segments", INSTEAD.format("segments"))] = "",
     decentralised: Annotated[bool, left("--decentralised", INSTEAD.format("coupled"))] = False,
@@ -769,6 +644,10 @@ def learn_law(
     The taps come from gradients through the learning of many machines. A law that
     is not safe on every machine of a dense family is taken back, or not written. Of
     several channels the taps are matrices.
+
+    taps L,Q: Odd numbers of taps of L and of Q.
+    limit: Largest |u| that is learned; none if not given.
+    steps: Steps through learning; 0 for the frequency response alone.
 
     Example: jaxilc learn-law axis.toml --taps 61,31
     """
@@ -788,7 +667,7 @@ def _tell(command: str, what: ForMachine, written: LawWritten, **how: Value) -> 
     tell(
         command, written,
         asked(what.plant_file, schemes, what.set_, trials=what.trials, spread=what.spread),
-        margin=what.margin, machines=what.machines, seed=what.seed, out=written.out_file,
+        margin=what.margin, machines=what.machines, seed=what.seed, out=written.out,
         force=written.force, resume=written.resume, say=between, **how,
     )  # fmt: skip
 

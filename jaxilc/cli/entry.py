@@ -24,7 +24,7 @@ from . import commands
 from .console import ended, err, prefer, speak, tracebacks, warn
 from .explore import explore
 from .hardware import SETTINGS, Refused, next_, trials
-from .options import DESIGN, MACHINE, PROVE, SIMULATE, Commands, add, figures_as, of_list
+from .options import DESIGN, MACHINE, PROVE, SIMULATE, Commands, command_of, figures_as, of_list
 
 LONGEST = 2000  # characters of the message of an error
 LONG_WORD = re.compile(r"(\S{60})\S{200,}(\S{40})")  # such as a value that was given by mistake
@@ -64,41 +64,21 @@ def _version(asked: bool) -> None:
 
 
 @app.callback()
+@command_of
 def options(
-    quiet: Annotated[
-        bool,
-        Option(
-            "--quiet", "-q", help="Print warnings and errors only; files are written all the same."
-        ),
-    ] = False,
-    verbose: Annotated[
-        bool,
-        Option(
-            "--verbose",
-            "-v",
-            help="Log versions, devices and every program compiled, with times; show tracebacks.",
-        ),
-    ] = False,
-    precision: Annotated[
-        str | None,
-        Option(
-            help="float64, if not given, or float32.", autocompletion=of_list("float64", "float32")
-        ),
-    ] = None,
-    figures: Annotated[
-        str | None,
-        Option(
-            metavar="FORMAT",
-            help="Format and style of figures: png, svg or pdf; print or dark; both as svg,dark.",
-            callback=figures_as,
-        ),
-    ] = None,
-    version: Annotated[
-        bool,
-        Option("--version", callback=_version, is_eager=True, help="Show the version and exit."),
-    ] = False,
+    quiet: Annotated[bool, Option("--quiet", "-q")] = False,
+    verbose: Annotated[bool, Option("--verbose", "-v")] = False,
+    precision: Annotated[str | None, Option(autocompletion=of_list("float64", "float32"))] = None,
+    figures: Annotated[str | None, Option(callback=figures_as)] = None,
+    version: Annotated[bool, Option(callback=_version, is_eager=True)] = False,
 ) -> None:
     """What holds for every command; before its name.
+
+    quiet: Print warnings and errors only; files are written all the same.
+    verbose: Log versions, devices and every program compiled, with times; show tracebacks.
+    precision: float64, if not given, or float32.
+    figures FORMAT: Format and style of figures: png, svg or pdf; print or dark; both as svg,dark.
+    version: Show the version and exit.
 
     Example: jaxilc --quiet run cao-2019 --report out/run.json
     """
@@ -150,11 +130,9 @@ COMMANDS: dict[str, list[Callable[..., None]]] = {
 }
 for panel, of_panel in COMMANDS.items():
     for function in of_panel:
-        add(app, function, panel)
-for registered in app.registered_commands:
-    registered.cls = Command
-    if registered.name == "next":
-        registered.epilog = escape(SETTINGS)
+        command, below = command_of(function), escape(SETTINGS) if function is next_ else None
+        name = command.__name__.strip("_").replace("_", "-")
+        app.command(name, cls=Command, epilog=below, rich_help_panel=panel)(command)
 
 
 def main() -> None:

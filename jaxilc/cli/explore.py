@@ -26,13 +26,9 @@ def explore(
     what: Simulated,
     machines: Machines = 32,
     grid: GridAxes = None,
-    port: Annotated[int, Option(help="Port of the page; 0 for any that is free.")] = 5006,
-    address: Annotated[
-        str, Option(help="Address to listen on; others than this computer may then connect.")
-    ] = LOOPBACK,
-    browser: Annotated[
-        bool, Option("--browser/--no-browser", help="Open the page in a browser.")
-    ] = True,
+    port: int = 5006,
+    address: str = LOOPBACK,
+    browser: Annotated[bool, Option("--browser/--no-browser")] = True,
     out_dir: OutFolder = None,
 ) -> None:
     """A page with sliders for weights, lead, cutoff and spread; the errors follow at once.
@@ -40,6 +36,10 @@ def explore(
     They are those of the first scheme that learns. It runs on this computer only, until Ctrl-C.
     The weights found are saved as a file for --params. With --grid, or the folder of a grid for
     --params, it has a map; a click moves the sliders.
+
+    port: Port of the page; 0 for any that is free.
+    address: Address to listen on; others than this computer may then connect.
+    browser: Open the page in a browser.
 
     Example: jaxilc explore cao-2019 --scheme ffdl-mfailc
     """

@@ -17,6 +17,7 @@ from ..outcomes.request import settings_of
 from .console import begin, out, say, warn
 from .options import (
     InputColumn,
+    OneScheme,
     OutputColumn,
     Pages,
     Params,
@@ -25,7 +26,6 @@ from .options import (
     figure_to_write,
     names_in,
     scenarios_from,
-    schemes_from,
 )
 from .present import stored, written
 
@@ -557,40 +557,18 @@ def next_(
     context: Context,
     state: Folder,
     pages: Pages,
-    measured: Annotated[
-        Path | None,
-        Option(metavar="TRIAL", help="Measured trial, .csv or .mat; none starts a campaign."),
-    ] = None,
-    time_name: TimeColumn = "t",
-    input_name: InputColumn = "u",
-    output_name: OutputColumn = "y",
-    out_file: Annotated[
-        Path | None,
-        Option("--out", metavar="NEXT", help="What the machine plays next: .csv, .mat or .h (C)."),
-    ] = None,
-    scenario: Annotated[
-        str | None,
-        Option(
-            metavar="NAME|FILE",
-            help="Scenario or plant file to start from.",
-            autocompletion=scenarios_from,
-        ),
-    ] = None,
-    scheme: Annotated[
-        str | None,
-        Option(help="Scheme; not needed where only one learns.", autocompletion=schemes_from),
-    ] = None,
+    measured: Path | None = None,
+    time: TimeColumn = "t",
+    input: InputColumn = "u",
+    output: OutputColumn = "y",
+    out_file: Annotated[Path | None, Option("--out")] = None,
+    scenario: Annotated[str | None, Option(autocompletion=scenarios_from)] = None,
+    scheme: OneScheme = None,
     params: Params = None,
     set_: Set = None,
-    no_learn: Annotated[
-        bool,
-        Option("--no-learn", help="Look at the trial only; the same schedule is played again."),
-    ] = False,
-    undo: Annotated[
-        int | None,
-        Option(metavar="J", help="Go back to what was known after trial J, 0 for the start."),
-    ] = None,
-    dry_run: Annotated[bool, Option("--dry-run", help="Check and report; write nothing.")] = False,
+    no_learn: bool = False,
+    undo: int | None = None,
+    dry_run: bool = False,
     plot: Plot = None,
 ) -> None:
     """From a trial measured on a real machine to the input of the next one.
@@ -599,6 +577,14 @@ def next_(
     it writes the next input once more. What the machine plays: `u` is its whole
     input, `feedforward` is added to its feedback, `reference` takes the place of
     the task's.
+
+    measured TRIAL: Measured trial, .csv or .mat; none starts a campaign.
+    out_file NEXT: What the machine plays next: .csv, .mat or .h (C).
+    scenario NAME|FILE: Scenario or plant file to start from.
+    scheme: Scheme; not needed where only one learns.
+    no_learn: Look at the trial only; the same schedule is played again.
+    undo J: Go back to what was known after trial J, 0 for the start.
+    dry_run: Check and report; write nothing.
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """
@@ -614,7 +600,7 @@ def next_(
         )
     begin()
     settings, of = _of_campaign(settings_of(set_ or ()))
-    names = {"t": time_name, "u": input_name, "y": output_name, "r": of.get("reference", "r")}
+    names = {"t": time, "u": input, "y": output, "r": of.get("reference", "r")}
     columns = {OPTIONS[signal]: name for signal, name in names.items() if name != signal}
     headings, accept = (
         [name for name in names_in(of.get(key)) if name] for key in ("columns", "accept")

@@ -5,17 +5,21 @@ This module does not import JAX, so that `--help` and the completion of a shell 
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 import inspect
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_type_hints
+from types import FunctionType
+from typing import TYPE_CHECKING, Annotated, get_args, get_type_hints
 
 import typer
 import typer.core
 from typer import Argument, Option
+from typer.models import OptionInfo
 
 from ..learning.known_metrics import TUNED
 from ..outcomes.request import Request
@@ -25,8 +29,6 @@ from ..storage.reading import read_tree
 from .console import warn
 
 if TYPE_CHECKING:
-    from typer.models import OptionInfo
-
     from ..pytree.aliases import Value
 
 # Completion by a shell
@@ -160,25 +162,22 @@ SCENARIO = Argument(
 Schemes = Annotated[
     list[str] | None,
     Option(
-        "--scheme",
         metavar="NAME",
         help="Scheme to use; repeatable. All if not given.",
         autocompletion=schemes_from,
     ),
 ]
+OneScheme = Annotated[str | None, Option(autocompletion=schemes_from)]
 Trials = Annotated[int | None, Option(help="Trials J; the scenario's own if not given.")]
 Set = Annotated[
     list[str] | None,
     Option(
-        "--set",
-        metavar="PATH=VALUE",
-        help="Set a leaf, a field or an option of the scenario; repeatable.",
+        metavar="PATH=VALUE", help="Set a leaf, a field or an option of the scenario; repeatable."
     ),
 ]
 Params = Annotated[
     Path | None,
     Option(
-        "--params",
         metavar="FILE",
         help="Parameters that `tune` wrote, or the folder of a `sweep --grid` for its best point.",
     ),
@@ -186,7 +185,6 @@ Params = Annotated[
 GridAxes = Annotated[
     list[str] | None,
     Option(
-        "--grid",
         metavar="PATH=...",
         help="An axis of a grid: LOW:HIGH:COUNT, LOW:HIGH:COUNTlog or values with commas, for what "
         "--set can set, or trials; PATH/PATH is one axis of two; repeatable.",
@@ -195,7 +193,6 @@ GridAxes = Annotated[
 MetricName = Annotated[
     str | None,
     Option(
-        "--metric",
         help=f"Metric that tables show and --tolerance limits: {', '.join(TUNED)} or one of the "
         "scenario, such as contour_max; its own if not given.",
         autocompletion=of_list(*TUNED),
@@ -223,9 +220,9 @@ Sampling = Annotated[
 # Columns of a file that was measured
 # --------------------------------------------------------------------------------------------------
 
-TimeColumn = Annotated[str, Option("--time", help="Column of the time.")]
-InputColumn = Annotated[str, Option("--input", help="Column of the input.")]
-OutputColumn = Annotated[str, Option("--output", help="Column of the output.")]
+TimeColumn = Annotated[str, Option(help="Column of the time.")]
+InputColumn = Annotated[str, Option(help="Column of the input.")]
+OutputColumn = Annotated[str, Option(help="Column of the output.")]
 Columns = Annotated[
     str | None, Option(metavar="A,B,C", help="Names of the columns of a file without a header.")
 ]
@@ -241,8 +238,9 @@ OutFolder = Annotated[
         callback=folder_to_write,
     ),
 ]
-Details = Annotated[bool, Option("--details", help="Print what the tables are a summary of, too.")]
-Resume = Annotated[bool, Option("--resume", help="Go on with what is in the folder.")]
+FileToWrite = Annotated[Path | None, Option(callback=file_to_write)]
+Details = Annotated[bool, Option(help="Print what the tables are a summary of, too.")]
+Resume = Annotated[bool, Option(help="Go on with what is in the folder.")]
 
 # Options that left the command line; they are taken for one version, with a warning.
 # --------------------------------------------------------------------------------------------------
@@ -297,10 +295,13 @@ class Simulated:
 
 @dataclasses.dataclass(frozen=True)
 class OneSimulated:
-    """What is simulated with one scheme."""
+    """What is simulated with one scheme.
+
+    scheme: Scheme to use.
+    """
 
     scenario: Annotated[str, SCENARIO]
-    scheme: Annotated[str, Option(help="Scheme to use.", autocompletion=schemes_from)]
+    scheme: Annotated[str, Option(autocompletion=schemes_from)]
     set_: Set = None
     params: Params = None
     spread: Spread = None
@@ -313,18 +314,18 @@ class OneSimulated:
 
 @dataclasses.dataclass(frozen=True)
 class Tuned:
-    """How weights are tuned, on which machines."""
+    """How weights are tuned, on which machines.
 
-    weights: Annotated[
-        str, Option(metavar="A,B,C", help="To tune, with or without bounds: lam=0.1:10,phi0.")
-    ]
+    weights A,B,C: To tune, with or without bounds: lam=0.1:10,phi0.
+    machines: Machines to tune on, the nominal one included.
+    steps: Steps at most.
+    """
+
+    weights: str
     risk: Annotated[str, Option(help=f"Over the machines: {RISKS}.")] = "mean"
     trials: Trials = None
-    machines: Annotated[
-        int,
-        Option("--machines", "--samples", help="Machines to tune on, the nominal one included."),
-    ] = 32
-    steps: Annotated[int, Option(help="Steps at most.")] = 100
+    machines: Machines = 32
+    steps: int = 100
     seed: Seed = 0
     resume: Resume = False
     bounds: Annotated[list[str] | None, left("--bounds", "--weights A=LOW:HIGH does it")] = None
@@ -354,22 +355,17 @@ class Tuned:
 
 @dataclasses.dataclass(frozen=True)
 class Pages:
-    """The files of `--report`."""
+    """The files of `--report`.
 
-    reports: Annotated[
-        list[Path] | None,
-        Option(
-            "--report",
-            metavar="FILE",
-            help="What was found, as one self-contained page (.html) or every printed number "
-            "(.json); repeatable.",
-            callback=reports_to_write,
-        ),
-    ] = None
+    report FILE: What was found, as one self-contained page (.html) or every printed number (.json);
+        repeatable.
+    """
+
+    report: Annotated[list[Path] | None, Option(callback=reports_to_write)] = None
 
     def file(self, ending: str) -> Path | None:
         """The file for the page, `.html`, or the numbers, `.json`; None where none is asked for."""
-        return next((file for file in self.reports or () if file.suffix == ending), None)
+        return next((file for file in self.report or () if file.suffix == ending), None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -379,22 +375,28 @@ class Written(Pages):
     out_dir: OutFolder = None
 
 
-# Commands whose options stand in groups
+# Commands, of which the docstring explains the options as it explains arguments
 # --------------------------------------------------------------------------------------------------
 
 
-def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
-    """Add a command with the name of a function to a group, `panel`, of `jaxilc --help`.
+LINE = re.compile(r"(\w+)(?: (\S+))?: (.+)")  # of a docstring
 
-    A parameter of the function whose type is a dataclass is a group: the command has an option for
-    each of its fields, and the function gets the object.
+
+def command_of(function: Callable[..., None]) -> FunctionType:
+    """A function as Typer takes it: each of its parameters is an option.
+
+    The docstring explains the options in a paragraph of lines `name METAVAR: what it means`; the
+    rest of it is the help of the command. A parameter whose type is a dataclass is a group: the
+    command has an option for each of its fields, which the docstring of the class explains, and the
+    function gets the object.
     """
+    about, parameters = _options(function)
     shown: list[inspect.Parameter] = []
     groups: dict[str, tuple[type, list[str]]] = {}
-    for one in _parameters(function):
+    for one in parameters:
         of_group, kind = [one], one.annotation
         if isinstance(kind, type) and dataclasses.is_dataclass(kind):
-            of_group = _parameters(kind)
+            of_group = _options(kind)[1]
             groups[one.name] = kind, [option.name for option in of_group]
         shown += of_group
 
@@ -408,17 +410,39 @@ def add(app: typer.Typer, function: Callable[..., None], panel: str) -> None:
 
     ordered = sorted(shown, key=lambda one: one.default is not inspect.Parameter.empty)
     made: Value = command
-    made.__signature__ = inspect.Signature(ordered)
+    made.__doc__, made.__signature__ = about, inspect.Signature(ordered)
     made.__annotations__ = {one.name: one.annotation for one in ordered}
-    name = command.__name__.strip("_").replace("_", "-")
-    app.command(name, rich_help_panel=panel)(command)
+    return made
 
 
-def _parameters(function: Callable[..., object]) -> list[inspect.Parameter]:
-    """The parameters of a function, or of a class for its fields, with the types that they name."""
-    hints = get_type_hints(function, include_extras=True)
-    given = inspect.signature(function).parameters.values()
-    return [one.replace(annotation=hints[one.name], kind=one.KEYWORD_ONLY) for one in given]
+def _options(function: Callable[..., object]) -> tuple[str, list[inspect.Parameter]]:
+    """The help of a function, and its parameters, or the fields of a class, as options."""
+    given, explained = inspect.signature(function).parameters, dict[str, tuple[str, str]]()
+    about: list[str] = []
+    documented = reversed(getattr(function, "__mro__", (function,)))  # a class after its bases
+    for paragraph in "\n\n".join(inspect.getdoc(one) or "" for one in documented).split("\n\n"):
+        lines = [LINE.fullmatch(" ".join(x.split())) for x in re.split(r"\n(?! )", paragraph)]
+        found = {line[1]: (line[2], line[3]) for line in lines if line and line[1] in given}
+        explained |= found
+        about += [] if found else [paragraph]
+    options, hints = [], get_type_hints(function, include_extras=True)
+    for name, one in given.items():
+        kind = _option(name, hints[name], *explained.get(name, ()))
+        options.append(one.replace(annotation=kind, kind=one.KEYWORD_ONLY))
+    return "\n\n".join(about), options
+
+
+def _option(name: str, kind: Value, metavar: str | None = None, meaning: str = "") -> Value:
+    """The type of an option, with its name and its explanation; groups and contexts as they are."""
+    if dataclasses.is_dataclass(kind) or kind is typer.Context:
+        return kind
+    of, option = get_args(kind) if hasattr(kind, "__metadata__") else (kind, Option())
+    option = copy.copy(option)
+    if isinstance(option, OptionInfo) and option.default is ...:  # where Typer keeps a given name
+        option.param_decls = (f"--{name.strip('_').replace('_', '-')}",)
+    option.metavar, option.help = metavar or option.metavar, meaning or option.help
+    typed: Value = Annotated
+    return typed[of, option]
 
 
 # Options that have another name since this version: they are taken, with a warning
