@@ -283,7 +283,7 @@ PLACES = {
     "plant_file.md": lambda: (file_task.DISTRIBUTIONS, said(f"{GUIDE}/plant_file.md", form="`{}`")),
     "--sampling": lambda: (
         uncertainty.SAMPLINGS,
-        re.findall(r"[\w-]+", get_args(options.Sampling)[1].help),
+        re.findall(r"[\w-]+", re.findall(r"(?m)^sampling: (.+)$", options.SHARED)[0]),
     ),
     # families, pages, notebooks
     "the order of imports in CONTRIBUTING.md": lambda: (

@@ -16,27 +16,16 @@ from ..outcomes.terms import OBJECTIVES, numbers_of
 from .console import begin, between, prefer
 from .options import (
     SCENARIO,
-    Columns,
-    Details,
     FileToWrite,
-    GridAxes,
-    InputColumn,
     Machines,
     MetricName,
     OneScheme,
     OneSimulated,
-    OutputColumn,
     Pages,
-    Params,
-    Resume,
     Sampling,
     Schemes,
     Seed,
-    Set,
     Simulated,
-    Spread,
-    TimeColumn,
-    Trials,
     Tuned,
     Written,
     asked,
@@ -60,9 +49,9 @@ def init(
     file: Annotated[Path, Argument(callback=file_to_write)] = Path("axis.toml"),
     set_point: bool = False,
     record: Path | None = None,
-    time: TimeColumn = "t",
-    input: InputColumn = "u",
-    output: OutputColumn = "y",
+    time: str = "t",
+    input: str = "u",
+    output: str = "y",
     force: bool = False,
 ) -> None:
     """Write a plant file with comments: a machine, its task, schemes and uncertainty.
@@ -117,7 +106,7 @@ def run(
     metric: MetricName = None,
     seed: Seed = 0,
     replace: bool = False,
-    details: Details = False,
+    details: bool = False,
 ) -> None:
     """Learn on the nominal machine: errors beside the published ones, figures, dataset.
 
@@ -133,11 +122,11 @@ def sweep(
     written: Written,
     machines: Machines = 1024,
     seed: Seed = 0,
-    spread: Spread = None,
+    spread: float | None = None,
     metric: MetricName = None,
     tolerance: float | None = None,
-    grid: GridAxes = None,
-    resume: Resume = False,
+    grid: list[str] | None = None,
+    resume: bool = False,
     dask: str | None = None,
     bounds: bool = False,
     sampling: Annotated[str | None, left("--sampling", "Sweep(sampling=...) does it")] = None,
@@ -165,7 +154,7 @@ def certify(
     written: Written,
     machines: Machines = 64,
     seed: Seed = 0,
-    spread: Spread = None,
+    spread: float | None = None,
     sampling: Sampling = "monte-carlo",
 ) -> None:
     """Theory beside simulation: claims for the long run, and predictions of J trials.
@@ -187,12 +176,12 @@ def potential(
     record: Annotated[list[str], Argument()],
     written: Written,
     error: str = "e",
-    output: OutputColumn = "y",
+    output: str = "y",
     reference: str = "r",
-    time: TimeColumn = "t",
+    time: str = "t",
     dt: float | None = None,
     unit: str = "",
-    columns: Columns = None,
+    columns: str | None = None,
     into: FileToWrite = None,
 ) -> None:
     """Is learning worth it, up to which frequency, and when is it done?
@@ -311,7 +300,7 @@ def reproduce(
     written: Written,
     scenario: Annotated[list[str] | None, Argument(autocompletion=scenarios_from)] = None,
     reading: str | None = None,
-    details: Details = False,
+    details: bool = False,
 ) -> None:
     """Every published number and conclusion beside ours, and how the paper was read.
 
@@ -338,8 +327,8 @@ def export(
     scheme: Schemes = None,
     machines: Machines = 64,
     seed: Seed = 0,
-    set_: Set = None,
-    params: Params = None,
+    set_: list[str] | None = None,
+    params: Path | None = None,
 ) -> None:
     """A learning law as a program for a controller, with its guard and certificate.
 
@@ -404,13 +393,13 @@ def identify(
     zeros: str | None = None,
     delay: int | None = None,
     auto: bool = False,
-    time: TimeColumn = "t",
+    time: str = "t",
     time_unit: Annotated[
         str | None, left("--time-unit", "the unit in the heading of the times does it")
     ] = None,
-    input: InputColumn = "u",
-    output: OutputColumn = "y",
-    columns: Columns = None,
+    input: str = "u",
+    output: str = "y",
+    columns: str | None = None,
     dt: float | None = None,
     validate: Path | None = None,
     resample: Annotated[float | None, left("--resample", "--dt DT does it")] = None,
@@ -491,11 +480,11 @@ def filter_(
     scheme: Schemes = None,
     margin: float = 0.1,
     vary: list[str] | None = None,
-    spread: Spread = None,
+    spread: float | None = None,
     machines: int | None = None,
     seed: Seed = 0,
-    set_: Set = None,
-    params: Params = None,
+    set_: list[str] | None = None,
+    params: Path | None = None,
     gain: float | None = None,
     lead: int | None = None,
     cutoff: float | None = None,
@@ -578,11 +567,11 @@ class ForMachine:
     plant_file: Annotated[str, Argument()]
     scheme: OneScheme = None
     margin: float = 0.05
-    trials: Trials = None
+    trials: int | None = None
     machines: int = 257
-    spread: Spread = None
+    spread: float | None = None
     seed: Seed = 0
-    set_: Set = None
+    set_: list[str] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -598,7 +587,7 @@ class LawWritten(Written):
     out_dir: Annotated[Path | None, Option("--state", callback=folder_to_write)] = None
     out: FileToWrite = None
     force: bool = False
-    resume: Resume = False
+    resume: bool = False
 
 
 def design(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Option
 
 from .console import begin, out
-from .options import GridAxes, Machines, OutFolder, Simulated, at_least
+from .options import Machines, OutFolder, Simulated, at_least
 from .progress import working
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ LOOPBACK = "127.0.0.1"
 def explore(
     what: Simulated,
     machines: Machines = 32,
-    grid: GridAxes = None,
+    grid: list[str] | None = None,
     port: int = 5006,
     address: str = LOOPBACK,
     browser: Annotated[bool, Option("--browser/--no-browser")] = True,

@@ -15,18 +15,7 @@ from typer import Context, Option
 from ..outcomes.outcome import Figure, Interactive, Numbers, Table, Verdict
 from ..outcomes.request import settings_of
 from .console import begin, out, say, warn
-from .options import (
-    InputColumn,
-    OneScheme,
-    OutputColumn,
-    Pages,
-    Params,
-    Set,
-    TimeColumn,
-    figure_to_write,
-    names_in,
-    scenarios_from,
-)
+from .options import OneScheme, Pages, figure_to_write, names_in, scenarios_from
 from .present import stored, written
 
 if TYPE_CHECKING:
@@ -39,16 +28,7 @@ if TYPE_CHECKING:
     from ..scenarios.campaigns import Opened
 
 
-Folder = Annotated[Path, Option("--state", help="Folder of the campaign.")]
-Plot = Annotated[
-    Path | None,
-    Option(
-        "--plot",
-        metavar="FIGURE",
-        help="Plot errors, prediction and the last trial to this file.",
-        callback=figure_to_write,
-    ),
-]
+Plot = Annotated[Path | None, Option(callback=figure_to_write)]
 LITTLE = 0.02  # share by which the error falls at least in `PATIENCE` trials while it is learned
 PATIENCE = 3
 _LAST_NUMBER = re.compile(r"^(.*?)(\d+)(\D*)$")
@@ -58,13 +38,12 @@ UNCHANGED = (
 )
 
 
-def trials(
-    state: Folder,
-    pages: Pages,
-    table: Annotated[Path | None, Option("--csv", help="Write the log to this file.")] = None,
-    plot: Plot = None,
-) -> None:
+def trials(state: Path, pages: Pages, csv: Path | None = None, plot: Plot = None) -> None:
     """The log of a campaign: every trial with its metrics, undone ones included.
+
+    state: Folder of the campaign.
+    csv: Write the log to this file.
+    plot FIGURE: Plot errors, prediction and the last trial to this file.
 
     Example: jaxilc trials --state x-axis --csv log.csv --plot log.png
     """
@@ -87,8 +66,8 @@ def trials(
     out.print(log)
     said, changed = _say_source(recipe) if recipe else ([], "")
     files = []
-    if table is not None:
-        files.append(write_log(table, rows))
+    if csv is not None:
+        files.append(write_log(csv, rows))
     old = bool(recipe) and ("stop" not in recipe or "trials_of_step" not in known)
     now = _opened(state) if live and (plot or report or old) else None
     by = for_verdict(recipe, known.get("trials_of_step"))
@@ -555,17 +534,17 @@ class Refused(ValueError):
 
 def next_(
     context: Context,
-    state: Folder,
+    state: Path,
     pages: Pages,
     measured: Path | None = None,
-    time: TimeColumn = "t",
-    input: InputColumn = "u",
-    output: OutputColumn = "y",
+    time: str = "t",
+    input: str = "u",
+    output: str = "y",
     out_file: Annotated[Path | None, Option("--out")] = None,
     scenario: Annotated[str | None, Option(autocompletion=scenarios_from)] = None,
     scheme: OneScheme = None,
-    params: Params = None,
-    set_: Set = None,
+    params: Path | None = None,
+    set_: list[str] | None = None,
     no_learn: bool = False,
     undo: int | None = None,
     dry_run: bool = False,
@@ -578,6 +557,7 @@ def next_(
     input, `feedforward` is added to its feedback, `reference` takes the place of
     the task's.
 
+    state: Folder of the campaign.
     measured TRIAL: Measured trial, .csv or .mat; none starts a campaign.
     out_file NEXT: What the machine plays next: .csv, .mat or .h (C).
     scenario NAME|FILE: Scenario or plant file to start from.
@@ -585,6 +565,7 @@ def next_(
     no_learn: Look at the trial only; the same schedule is played again.
     undo J: Go back to what was known after trial J, 0 for the start.
     dry_run: Check and report; write nothing.
+    plot FIGURE: Plot errors, prediction and the last trial to this file.
 
     Example: jaxilc next --state x-axis --measured trial-3.csv --out trial-4.csv
     """

@@ -151,96 +151,44 @@ def at_least(low: int, **given: int | None) -> None:
             raise ValueError(f"--{option} {value} is outside its allowed range [{low}, inf)")
 
 
-# What is simulated
+# Options of several commands: what each means, and what completes or checks its value
 # --------------------------------------------------------------------------------------------------
 
-SCENARIO = Argument(
-    metavar="SCENARIO",
-    help="Of `jaxilc list`, or a TOML or JSON file.",
-    autocompletion=scenarios_from,
-)
-Schemes = Annotated[
-    list[str] | None,
-    Option(
-        metavar="NAME",
-        help="Scheme to use; repeatable. All if not given.",
-        autocompletion=schemes_from,
-    ),
-]
+
+SHARED = f"""\
+scenario SCENARIO: Of `jaxilc list`, or a TOML or JSON file.
+source SCENARIO: Of `jaxilc list`, or a TOML or JSON file.
+scheme NAME: Scheme to use; repeatable. All if not given.
+trials: Trials J; the scenario's own if not given.
+set_ PATH=VALUE: Set a leaf, a field or an option of the scenario; repeatable.
+params FILE: Parameters that `tune` wrote, or the folder of a `sweep --grid` for its best point.
+grid PATH=...: An axis of a grid: LOW:HIGH:COUNT, LOW:HIGH:COUNTlog or values with commas, for what
+    --set can set, or trials; PATH/PATH is one axis of two; repeatable.
+metric: Metric that tables show and --tolerance limits: {", ".join(TUNED)} or one of the
+    scenario, such as contour_max; its own if not given.
+seed: Seed of noise and machines.
+machines: Machines, the nominal one included.
+spread: Half-width of all relative uncertainties: 0.2 is 20 %.
+sampling: monte-carlo, latin-hypercube, sobol or corners.
+time: Column of the time.
+input: Column of the input.
+output: Column of the output.
+columns A,B,C: Names of the columns of a file without a header.
+out_dir: Folder for results; out/COMMAND-SCENARIO if not given.
+details: Print what the tables are a summary of, too.
+resume: Go on with what is in the folder.
+"""
+SCENARIO = Argument(autocompletion=scenarios_from)
+Schemes = Annotated[list[str] | None, Option(autocompletion=schemes_from)]
 OneScheme = Annotated[str | None, Option(autocompletion=schemes_from)]
-Trials = Annotated[int | None, Option(help="Trials J; the scenario's own if not given.")]
-Set = Annotated[
-    list[str] | None,
-    Option(
-        metavar="PATH=VALUE", help="Set a leaf, a field or an option of the scenario; repeatable."
-    ),
-]
-Params = Annotated[
-    Path | None,
-    Option(
-        metavar="FILE",
-        help="Parameters that `tune` wrote, or the folder of a `sweep --grid` for its best point.",
-    ),
-]
-GridAxes = Annotated[
-    list[str] | None,
-    Option(
-        metavar="PATH=...",
-        help="An axis of a grid: LOW:HIGH:COUNT, LOW:HIGH:COUNTlog or values with commas, for what "
-        "--set can set, or trials; PATH/PATH is one axis of two; repeatable.",
-    ),
-]
-MetricName = Annotated[
-    str | None,
-    Option(
-        help=f"Metric that tables show and --tolerance limits: {', '.join(TUNED)} or one of the "
-        "scenario, such as contour_max; its own if not given.",
-        autocompletion=of_list(*TUNED),
-    ),
-]
-Seed = Annotated[int, Option(help="Seed of noise and machines.", callback=seed_in_range)]
-
-# Machines that are drawn
-# --------------------------------------------------------------------------------------------------
-
-Machines = Annotated[
-    int, Option("--machines", "--samples", help="Machines, the nominal one included.")
-]
-Spread = Annotated[
-    float | None, Option(help="Half-width of all relative uncertainties: 0.2 is 20 %.")
-]
+MetricName = Annotated[str | None, Option(autocompletion=of_list(*TUNED))]
+Seed = Annotated[int, Option(callback=seed_in_range)]
+Machines = Annotated[int, Option("--machines", "--samples")]
 Sampling = Annotated[
-    str,
-    Option(
-        help="monte-carlo, latin-hypercube, sobol or corners.",
-        autocompletion=of_list("monte-carlo", "latin-hypercube", "sobol", "corners"),
-    ),
-]
-
-# Columns of a file that was measured
-# --------------------------------------------------------------------------------------------------
-
-TimeColumn = Annotated[str, Option(help="Column of the time.")]
-InputColumn = Annotated[str, Option(help="Column of the input.")]
-OutputColumn = Annotated[str, Option(help="Column of the output.")]
-Columns = Annotated[
-    str | None, Option(metavar="A,B,C", help="Names of the columns of a file without a header.")
-]
-
-# Files that are written
-# --------------------------------------------------------------------------------------------------
-
-OutFolder = Annotated[
-    Path | None,
-    Option(
-        "--out",
-        help="Folder for results; out/COMMAND-SCENARIO if not given.",
-        callback=folder_to_write,
-    ),
+    str, Option(autocompletion=of_list("monte-carlo", "latin-hypercube", "sobol", "corners"))
 ]
 FileToWrite = Annotated[Path | None, Option(callback=file_to_write)]
-Details = Annotated[bool, Option(help="Print what the tables are a summary of, too.")]
-Resume = Annotated[bool, Option(help="Go on with what is in the folder.")]
+OutFolder = Annotated[Path | None, Option("--out", callback=folder_to_write)]
 
 # Options that left the command line; they are taken for one version, with a warning.
 # --------------------------------------------------------------------------------------------------
@@ -283,9 +231,9 @@ class Simulated:
 
     scenario: Annotated[str, SCENARIO]
     scheme: Schemes = None
-    trials: Trials = None
-    set_: Set = None
-    params: Params = None
+    trials: int | None = None
+    set_: list[str] | None = None
+    params: Path | None = None
 
     def request(self, **more: Value) -> Request:
         """What is asked of the scenario, with further fields of a request."""
@@ -302,9 +250,9 @@ class OneSimulated:
 
     scenario: Annotated[str, SCENARIO]
     scheme: Annotated[str, Option(autocompletion=schemes_from)]
-    set_: Set = None
-    params: Params = None
-    spread: Spread = None
+    set_: list[str] | None = None
+    params: Path | None = None
+    spread: float | None = None
 
     def request(self, trials: int | None) -> Request:
         """What is asked of the scenario, with a number of trials."""
@@ -323,11 +271,11 @@ class Tuned:
 
     weights: str
     risk: Annotated[str, Option(help=f"Over the machines: {RISKS}.")] = "mean"
-    trials: Trials = None
+    trials: int | None = None
     machines: Machines = 32
     steps: int = 100
     seed: Seed = 0
-    resume: Resume = False
+    resume: bool = False
     bounds: Annotated[list[str] | None, left("--bounds", "--weights A=LOW:HIGH does it")] = None
     held_out: Annotated[int | None, in_python("--held-out")] = None
     unseen: Annotated[int | None, in_python("--unseen")] = None
@@ -385,10 +333,10 @@ LINE = re.compile(r"(\w+)(?: (\S+))?: (.+)")  # of a docstring
 def command_of(function: Callable[..., None]) -> FunctionType:
     """A function as Typer takes it: each of its parameters is an option.
 
-    The docstring explains the options in a paragraph of lines `name METAVAR: what it means`; the
-    rest of it is the help of the command. A parameter whose type is a dataclass is a group: the
-    command has an option for each of its fields, which the docstring of the class explains, and the
-    function gets the object.
+    The docstring explains its options in a paragraph of lines `name METAVAR: what it means`, and
+    `SHARED` those that it does not; the rest of it is the help of the command. A parameter whose
+    type is a dataclass is a group: the command has an option for each of its fields, which the
+    docstring of the class explains, and the function gets the object.
     """
     about, parameters = _options(function)
     shown: list[inspect.Parameter] = []
@@ -417,22 +365,30 @@ def command_of(function: Callable[..., None]) -> FunctionType:
 
 def _options(function: Callable[..., object]) -> tuple[str, list[inspect.Parameter]]:
     """The help of a function, and its parameters, or the fields of a class, as options."""
-    given, explained = inspect.signature(function).parameters, dict[str, tuple[str, str]]()
-    about: list[str] = []
+    given, about = inspect.signature(function).parameters, list[str]()
+    own: dict[str, Value] = {}
     documented = reversed(getattr(function, "__mro__", (function,)))  # a class after its bases
     for paragraph in "\n\n".join(inspect.getdoc(one) or "" for one in documented).split("\n\n"):
-        lines = [LINE.fullmatch(" ".join(x.split())) for x in re.split(r"\n(?! )", paragraph)]
-        found = {line[1]: (line[2], line[3]) for line in lines if line and line[1] in given}
-        explained |= found
-        about += [] if found else [paragraph]
+        found = _explained(paragraph)
+        if found.keys() & given.keys():
+            own |= found
+        else:
+            about.append(paragraph)
     options, hints = [], get_type_hints(function, include_extras=True)
     for name, one in given.items():
-        kind = _option(name, hints[name], *explained.get(name, ()))
+        kind = _option(name, hints[name], own.get(name))
         options.append(one.replace(annotation=kind, kind=one.KEYWORD_ONLY))
     return "\n\n".join(about), options
 
 
-def _option(name: str, kind: Value, metavar: str | None = None, meaning: str = "") -> Value:
+@functools.cache
+def _explained(paragraph: str) -> dict[str, Value]:
+    """Metavar and meaning by the name of an option; a line that is indented goes on with one."""
+    lines = (" ".join(line.split()) for line in re.split(r"\n(?! )", paragraph))
+    return {found[1]: (found[2], found[3]) for found in map(LINE.fullmatch, lines) if found}
+
+
+def _option(name: str, kind: Value, own: tuple[str | None, str] | None) -> Value:
     """The type of an option, with its name and its explanation; groups and contexts as they are."""
     if dataclasses.is_dataclass(kind) or kind is typer.Context:
         return kind
@@ -440,7 +396,8 @@ def _option(name: str, kind: Value, metavar: str | None = None, meaning: str = "
     option = copy.copy(option)
     if isinstance(option, OptionInfo) and option.default is ...:  # where Typer keeps a given name
         option.param_decls = (f"--{name.strip('_').replace('_', '-')}",)
-    option.metavar, option.help = metavar or option.metavar, meaning or option.help
+    if own or not option.help:
+        option.metavar, option.help = own or _explained(SHARED).get(name, (None, None))
     typed: Value = Annotated
     return typed[of, option]
 
