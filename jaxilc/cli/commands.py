@@ -15,6 +15,7 @@ from typer import Argument, Option
 from ..outcomes.terms import OBJECTIVES, numbers_of
 from .console import begin, between, prefer
 from .options import (
+    IN_PYTHON,
     SCENARIO,
     FileToWrite,
     Machines,
@@ -32,7 +33,6 @@ from .options import (
     at_least,
     file_to_write,
     folder_to_write,
-    in_python,
     left,
     names_in,
     of_list,
@@ -129,8 +129,8 @@ def sweep(
     resume: bool = False,
     dask: str | None = None,
     bounds: bool = False,
-    sampling: Annotated[str | None, left("--sampling", "Sweep(sampling=...) does it")] = None,
-    keep: Annotated[list[str] | None, left("--keep", "Sweep(keep=...) does it")] = None,
+    sampling: Annotated[str | None, left("Sweep(sampling=...) does it")] = None,
+    keep: Annotated[list[str] | None, left("Sweep(keep=...) does it")] = None,
 ) -> None:
     """Schemes against many uncertain machines: yield, quantiles, worst case, figure, dataset.
 
@@ -245,7 +245,7 @@ def tune(
     written: Written,
     objective: Annotated[str, Option(help=TERMS)] = "final",
     limit: list[str] | None = None,
-    compare_trials: Annotated[int | None, in_python("--compare-trials")] = None,
+    compare_trials: Annotated[int | None, IN_PYTHON] = None,
 ) -> None:
     """Tune weights by gradient through the learning, and compare them on machines not seen.
 
@@ -269,9 +269,9 @@ def pareto(
         list[str] | None, Option(metavar="TERMS", help=f"Give two, or one and --budgets. {TERMS}")
     ] = None,
     budgets: str | None = None,
-    first: Annotated[str | None, left("--first", "--objective, given first, does it")] = None,
-    second: Annotated[str | None, left("--second", "--objective, given twice, does it")] = None,
-    shares: Annotated[str | None, in_python("--shares")] = None,
+    first: Annotated[str | None, left("--objective, given first, does it")] = None,
+    second: Annotated[str | None, left("--objective, given twice, does it")] = None,
+    shares: Annotated[str | None, IN_PYTHON] = None,
 ) -> None:
     """Two objectives against each other, or one against the number of trials.
 
@@ -366,9 +366,7 @@ def _place_to_write(param: typer.CallbackParam, path: Path | None) -> Path | Non
     return (file_to_write if _is_plant_file(path) else folder_to_write)(param, path)
 
 
-Averages = Annotated[
-    int | None, left("--averages", "the heading `coherence (N averages)` of the file does it")
-]
+Averages = Annotated[int | None, left("the heading `coherence (N averages)` of the file does it")]
 
 
 def _is_plant_file(path: Path | None) -> bool:
@@ -394,15 +392,13 @@ def identify(
     delay: int | None = None,
     auto: bool = False,
     time: str = "t",
-    time_unit: Annotated[
-        str | None, left("--time-unit", "the unit in the heading of the times does it")
-    ] = None,
+    time_unit: Annotated[str | None, left("the unit in the heading of the times does it")] = None,
     input: str = "u",
     output: str = "y",
     columns: str | None = None,
     dt: float | None = None,
     validate: Path | None = None,
-    resample: Annotated[float | None, left("--resample", "--dt DT does it")] = None,
+    resample: Annotated[float | None, left("--dt DT does it")] = None,
     averages: Averages = None,
     out: Annotated[Path | None, Option(callback=_place_to_write)] = None,
     force: bool = False,
@@ -490,12 +486,12 @@ def filter_(
     cutoff: float | None = None,
     dt: float | None = None,
     taps: int | None = None,
-    sampling: Annotated[str | None, left("--sampling", FILTER_DOES.format(""))] = None,
-    order: Annotated[int | None, left("--order", MEASURED)] = None,
-    sigmas: Annotated[float | None, left("--sigmas", MEASURED)] = None,
+    sampling: Annotated[str | None, left(FILTER_DOES.format(""))] = None,
+    order: Annotated[int | None, left(MEASURED)] = None,
+    sigmas: Annotated[float | None, left(MEASURED)] = None,
     averages: Averages = None,
-    synthesise: Annotated[bool, left("--synthesise", "--taps N does it")] = False,
-    band: Annotated[float | None, left("--band", FILTER_DOES.format(""))] = None,
+    synthesise: Annotated[bool, left("--taps N does it")] = False,
+    band: Annotated[float | None, left(FILTER_DOES.format(""))] = None,
 ) -> None:
     """Is my Q-filter safe, by how much, and how far may I go?
 
@@ -621,12 +617,12 @@ def learn_law(
     taps: str = "61,31",
     limit: float | None = None,
     steps: int = 60,
-    start: Annotated[str | None, left("--start", INSTEAD.format("start"))] = None,
-    segments: Annotated[str, left("--segments", INSTEAD.format("segments"))] = "",
-    decentralised: Annotated[bool, left("--decentralised", INSTEAD.format("coupled"))] = False,
-    trained_on: Annotated[int | None, left("--trained-on", INSTEAD.format("trained_on"))] = None,
-    objective: Annotated[str | None, left("--objective", INSTEAD.format("objective"))] = None,
-    risk: Annotated[str | None, left("--risk", INSTEAD.format("risk"))] = None,
+    start: Annotated[str | None, left(INSTEAD)] = None,
+    segments: Annotated[str, left(INSTEAD)] = "",
+    decentralised: Annotated[bool, left(INSTEAD.format("coupled"))] = False,
+    trained_on: Annotated[int | None, left(INSTEAD)] = None,
+    objective: Annotated[str | None, left(INSTEAD)] = None,
+    risk: Annotated[str | None, left(INSTEAD)] = None,
 ) -> None:
     """Learn the update law itself, the taps of L and Q, and prove it safe before it is written.
 

@@ -194,21 +194,21 @@ OutFolder = Annotated[Path | None, Option("--out", callback=folder_to_write)]
 # --------------------------------------------------------------------------------------------------
 
 
-def left(option: str, instead: str) -> OptionInfo:
-    """An option that is not shown any more, and warns where it is given: what does the same now."""
+def left(instead: str) -> OptionInfo:
+    """An option that is not shown any more, and warns where it is given: what does the same now.
 
-    def check(value: object) -> object:
+    instead: what does; `{}` in it is the name of the parameter
+    """
+
+    def check(param: typer.CallbackParam, value: object) -> object:
         if value or (value == 0 and value is not False):
-            warn(f"warning: {option} will go: {instead}")
+            warn(f"warning: {_called(param)} will go: {instead.format(param.name)}")
         return value
 
-    return Option(option, hidden=True, help=f"Left: {instead}.", callback=check)
+    return Option(hidden=True, help=f"Left: {instead}.", callback=check)
 
 
-def in_python(option: str) -> OptionInfo:
-    """An option that left the command line, of which the function of `outcomes` has an argument."""
-    argument = option.removeprefix("--").replace("-", "_")
-    return left(option, f"{argument}=... in Python, of jaxilc.outcomes, does it")
+IN_PYTHON = left("{}=... in Python, of jaxilc.outcomes, does it")
 
 
 # Groups
@@ -276,13 +276,13 @@ class Tuned:
     steps: int = 100
     seed: Seed = 0
     resume: bool = False
-    bounds: Annotated[list[str] | None, left("--bounds", "--weights A=LOW:HIGH does it")] = None
-    held_out: Annotated[int | None, in_python("--held-out")] = None
-    unseen: Annotated[int | None, in_python("--unseen")] = None
-    starts: Annotated[int | None, in_python("--starts")] = None
-    rate: Annotated[float | None, in_python("--rate")] = None
-    optimiser: Annotated[str | None, in_python("--optimiser")] = None
-    sampling: Annotated[str | None, in_python("--sampling")] = None
+    bounds: Annotated[list[str] | None, left("--weights A=LOW:HIGH does it")] = None
+    held_out: Annotated[int | None, IN_PYTHON] = None
+    unseen: Annotated[int | None, IN_PYTHON] = None
+    starts: Annotated[int | None, IN_PYTHON] = None
+    rate: Annotated[float | None, IN_PYTHON] = None
+    optimiser: Annotated[str | None, IN_PYTHON] = None
+    sampling: Annotated[str | None, IN_PYTHON] = None
 
     def arguments(self) -> dict[str, Value]:
         """What was asked, as arguments of `outcomes.tune` and `outcomes.pareto`."""
