@@ -15,7 +15,7 @@ from typer import Context, Option
 from ..outcomes.outcome import Figure, Interactive, Numbers, Table, Verdict
 from ..outcomes.request import settings_of
 from .console import begin, out, say, warn
-from .options import OneScheme, Pages, figure_to_write, names_in, scenarios_from
+from .options import OF_CAMPAIGN, OneScheme, Pages, figure_to_write, names_in, scenarios_from
 from .present import stored, written
 
 if TYPE_CHECKING:
@@ -506,23 +506,6 @@ def _range(place: Place, unit: str) -> str:
 # --------------------------------------------------------------------------------------------------
 
 
-# What `--set campaign.NAME=VALUE` sets, with the type of the value and what it means.
-OF_CAMPAIGN = {
-    "limit": (float, "largest |input| played; the machine's own if not given"),
-    "largest_correction": (float, "largest departure of a learned reference"),
-    "saturation": (float, "share of samples at that limit or the machine's that is accepted"),
-    "repeatability": (float, "largest rms difference of two trials of one schedule"),
-    "growth": (float, "share by which the rms error may grow without a warning"),
-    "accept_saturation": (bool, "learn in spite of saturation"),
-    "stop_on_growth": (bool, "refuse a trial whose error grew"),
-    "accept": (str, "what is not refused in this call: frozen,jump,schedule,growth,input"),
-    "replayed_input": (bool, "without u: the scheme's input over the measured y"),
-    "short_trial": (bool, "the trial may have ended early: learn from its part"),
-    "predict": (bool, "whether errors of trials are predicted by the plant file, from now on"),
-    "reference": (str, "column of the reference, which need not be there"),
-    "columns": (str, "names of the columns of a file without a header: sample,u [V],y [mm]"),
-    "number": (str, "numbers of a C header: double or float"),
-}
 SETTINGS = "--set campaign.NAME=VALUE sets how a campaign is checked, by NAME: " + "; ".join(
     f"{name}: {meaning}" for name, (_, meaning) in OF_CAMPAIGN.items()
 )  # below the options of `jaxilc next --help`

@@ -190,6 +190,24 @@ Sampling = Annotated[
 FileToWrite = Annotated[Path | None, Option(callback=file_to_write)]
 OutFolder = Annotated[Path | None, Option("--out", callback=folder_to_write)]
 
+# What `--set campaign.NAME=VALUE` sets, with the type of the value and what it means.
+OF_CAMPAIGN = {
+    "limit": (float, "largest |input| played; the machine's own if not given"),
+    "largest_correction": (float, "largest departure of a learned reference"),
+    "saturation": (float, "share of samples at that limit or the machine's that is accepted"),
+    "repeatability": (float, "largest rms difference of two trials of one schedule"),
+    "growth": (float, "share by which the rms error may grow without a warning"),
+    "accept_saturation": (bool, "learn in spite of saturation"),
+    "stop_on_growth": (bool, "refuse a trial whose error grew"),
+    "accept": (str, "what is not refused in this call: frozen,jump,schedule,growth,input"),
+    "replayed_input": (bool, "without u: the scheme's input over the measured y"),
+    "short_trial": (bool, "the trial may have ended early: learn from its part"),
+    "predict": (bool, "whether errors of trials are predicted by the plant file, from now on"),
+    "reference": (str, "column of the reference, which need not be there"),
+    "columns": (str, "names of the columns of a file without a header: sample,u [V],y [mm]"),
+    "number": (str, "numbers of a C header: double or float"),
+}
+
 # Options that left the command line; they are taken for one version, with a warning.
 # --------------------------------------------------------------------------------------------------
 
@@ -409,20 +427,12 @@ def _option(name: str, kind: Value, own: tuple[str | None, str] | None) -> Value
 BEFORE = ("--figures", "--precision")  # now stand before the name of the command
 # For each command what replaces an option; `{}` is its value, and without it the option is a flag.
 OF_ALL = {"--json": "--report {}"}
-CAMPAIGN = (
-    *("limit", "largest-correction", "saturation", "repeatability", "growth"),
-    *("reference", "number"),
-)
 RENAMED: dict[str, dict[str, str]] = {
-    "next": {
-        "--plant-file": "--scenario {}",
-        **{f"--{n}": f"--set campaign.{n.replace('-', '_')}={{}}" for n in CAMPAIGN},
-        **{
-            f"--{name}": f"--set campaign.{name.replace('-', '_')}=true"
-            for name in ("accept-saturation", "stop-on-growth", "replayed-input", "short-trial")
-        },
-        "--predict": "--set campaign.predict=true",
-        "--no-predict": "--set campaign.predict=false",
+    "next": {"--plant-file": "--scenario {}", "--no-predict": "--set campaign.predict=false"}
+    | {
+        f"--{name.replace('_', '-')}": f"--set campaign.{name}={'true' if kind is bool else '{}'}"
+        for name, (kind, _) in OF_CAMPAIGN.items()
+        if name not in ("accept", "columns")  # which are newer
     }
 }
 
