@@ -11,7 +11,6 @@ import ctypes
 import math
 from collections.abc import Callable, Sequence
 from functools import cache
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from jax.typing import DTypeLike
@@ -32,8 +31,6 @@ from ..native.operations import (
 from ..native.program import Const, Program, Step, Unknown, Value
 from ..pytree.aliases import Function, Leaf
 
-_formulas: WeakKeyDictionary[Step, Node] = WeakKeyDictionary()  # by step, while it is there
-
 
 def interpret(
     program: Program, operands: Sequence[Leaf], real: DTypeLike = np.float64
@@ -48,8 +45,7 @@ def interpret(
 
 def known(name: str) -> bool:
     """Whether a step of this name has a meaning here, and so can be exported."""
-    single = elementwise(name) and name not in ("lt_to", "le_to")  # which read the bits of a number
-    return single or name in ARRAYS or name in ("scan", "while") or on_arrays(name)
+    return elementwise(name) or name in ARRAYS or name in ("scan", "while") or on_arrays(name)
 
 
 def carried_out(step: Step, arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -81,20 +77,13 @@ def _step(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]
     if step.name == "while":
         return _while(step, ins, real)
     if elementwise(step.name):
-        found = _node(_formula(step), ins, real, {})
+        found = _node(formula(step), ins, real, {})
         return [np.broadcast_to(found, step.outs[0].shape)]
     if on_arrays(step.name):
         found = rearranged(step, ins, step.outs[0].shape, SINGLE.__getitem__, lambda number: number)
     else:
         found = ARRAYS[step.name](step, ins)
     return [_as(found, step.outs[0].dtype, real).reshape(step.outs[0].shape)]
-
-
-def _formula(step: Step) -> Node:
-    """The formula of a step, which is written once and not for each sample that is played."""
-    if step not in _formulas:
-        _formulas[step] = formula(step)
-    return _formulas[step]
 
 
 def _scan(step: Step, ins: list[np.ndarray], real: np.dtype) -> list[np.ndarray]:

@@ -47,7 +47,7 @@ REASONS = {
     "random_bits": "the law draws random numbers, which a controller cannot repeat",
     "sort": "the law sorts its samples, which takes a time that is not known beforehand",
     "eigh": "the law needs eigenvalues of a matrix that is known only while it runs",
-} | dict.fromkeys(("lt_to", "le_to"), "a table is searched for what is not known yet")
+}
 
 
 class Pair(Value):
@@ -68,7 +68,17 @@ def program_and_result(function: Function, *operands: Tree) -> tuple[Program, Tr
     traced, result = jax.make_jaxpr(function, return_shape=True)(*operands)
     if any(map(_is_key, traced.consts)):
         raise Unknown(REASONS["random_bits"])
-    return without_dead(_written(traced)), result
+    return _with_formulas(without_dead(_written(traced))), result
+
+
+def _with_formulas(program: Program) -> Program:
+    """The program; raises Unknown where the types of a step have no formula."""
+    for step in program.steps:
+        if elementwise(step.name):
+            formula(step)
+        for part in {"condition", "body"} & step.params.keys():
+            _with_formulas(step.params[part])
+    return program
 
 
 def _written(closed: ClosedJaxpr) -> Program:
@@ -102,6 +112,8 @@ class _Writer(Lowering):
             return [Const(np.ones(x.shape, x.dtype)) for x in step.outs]
         if name == "conv_general_dilated":
             return self.traced(partial(_convolved, step), ins)
+        if name in IN_ORDER:
+            return self.traced(IN_ORDER[name], ins)
         if name in ("lu", "triangular_solve"):  # of more rows than `lowered` writes
             return self.traced(partial(WRITTEN[name], **step.params), ins)
         if name in ("gather", "scatter", "scatter-add"):
@@ -122,8 +134,6 @@ class _Writer(Lowering):
         self, name: str, params: Parameters, ins: list[Value], outs: Sequence[Value]
     ) -> list[Value]:
         self.steps.append(Step(name, params, ins, [*outs]))
-        if elementwise(name):  # Unknown where these types have none, though nobody may read it
-            formula(self.steps[-1])
         return [*outs]
 
     def traced(self, function: Function, ins: Sequence[Value]) -> list[Value]:
@@ -260,6 +270,12 @@ def _bound(condition: Program, body: Program, first: list[Value], n: int, m: int
 
 # What is written by other operations
 # --------------------------------------------------------------------------------------------------
+
+# the order of all numbers, in which NaN comes last; -0 counts as 0, as for NumPy
+IN_ORDER: dict[str, Function] = {
+    "lt_to": lambda x, y: (x < y) | ((x == x) & (y != y)),
+    "le_to": lambda x, y: (x <= y) | (y != y),
+}
 
 
 def _convolved(step: Step, x: Array, kernel: Array) -> Array:

@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import partial, reduce
 from typing import NamedTuple, TypeAlias
+from weakref import WeakKeyDictionary
 
 import jax
 import jax.numpy as jnp
@@ -516,20 +517,26 @@ def one_by_one(n: Numbers, step: Step) -> Callable[..., Node]:
     return partial(n.of, step.name)
 
 
+_formulas: WeakKeyDictionary[Step, Node] = WeakKeyDictionary()  # by step, while it is there
+
+
 def formula(step: Step) -> Node:
     """What a step computes element by element: a tree of operations of `INSTRUCTIONS`.
 
     Its operands are nodes of the name `operand`, and those that are one whole number are constants,
-    by which others may be divided. Raises Unknown for other steps.
+    by which others may be divided. It is written once, not for each sample that is played. Raises
+    Unknown for other steps.
     """
-    n = Numbers(np.float64)
-    places = [
-        n.const(np.ravel(x.array)[0], np.dtype(x.dtype))
-        if isinstance(x, Const) and x.dtype.kind in "iu" and uniform(x.array)
-        else n.place("operand", np.dtype(x.dtype), i)
-        for i, x in enumerate(step.ins)
-    ]
-    return one_by_one(n, step)(*places)
+    if step not in _formulas:
+        n = Numbers(np.float64)
+        places = [
+            n.const(np.ravel(x.array)[0], np.dtype(x.dtype))
+            if isinstance(x, Const) and x.dtype.kind in "iu" and uniform(x.array)
+            else n.place("operand", np.dtype(x.dtype), i)
+            for i, x in enumerate(step.ins)
+        ]
+        _formulas[step] = one_by_one(n, step)(*places)
+    return _formulas[step]
 
 
 def uniform(array: Known) -> bool:

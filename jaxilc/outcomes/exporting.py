@@ -55,7 +55,7 @@ def export(
     """
     from ..export import law_of
     from ..export.c_files import cost
-    from ..export.certificate import CERTIFICATE, certificate_of, of_others
+    from ..export.certificate import CERTIFICATE, WRITTEN, certificate_of, of_others
     from ..export.formats import FORMATS, Asked
     from ..hardware.checks import Rules, beyond_limits
     from ..learning.playback import schedules
@@ -65,6 +65,9 @@ def export(
     for name, value, allowed in (("format", format, FORMATS), ("number", number, NUMBERS)):
         if value not in allowed:
             raise ValueError(f"--{name} {value} is not known; allowed are {', '.join(allowed)}")
+    for file in sorted({CERTIFICATE, *WRITTEN}):
+        if Path(folder, file).is_dir():
+            raise ValueError(f"{Path(folder, file)} is a folder, in the place of a file of --out")
     chosen, name, memory, kept = _chosen(request, state)
     need_one_reference("an exported law", chosen.machine)
     scheme, actuator = chosen.schemes[name], chosen.machine.actuator

@@ -93,6 +93,9 @@ def test_other_languages_carry_the_certificate_too(tmp_path, kind, files):
     path.write_text(text.replace(digest, "f" * 64))
     assert "of another law" in refused("export", "--check", "a law")
     assert call(*given, "--number", "float")[0] == 2
+    path.unlink()
+    path.mkdir()
+    assert f"{path.name} is a folder" in refused(*given, "--out", "a law")
 
 
 @pytest.mark.thorough

@@ -23,6 +23,7 @@ from jaxilc.export.plant import Model, files_of_plant, model_of
 from jaxilc.learning import Disturbance, Machine, learn
 from jaxilc.native.program import Unknown
 from jaxilc.plants import StateSpace
+from jaxilc.plants.along_motion import motion
 from jaxilc.signals import Task
 
 compiled = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler, as `cc`")
@@ -179,6 +180,15 @@ def test_a_plant_that_varies_over_a_trial_steps_by_its_own_matrices():
     np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.thorough
+def test_a_plant_reads_its_friction_from_a_table():
+    plant, u = PLANTS["ball_screw_real"], np.random.default_rng(3).standard_normal((8, 1))
+    task = task_for(plant, 8)
+    model, y = model_of(Machine(plant), task), motion(plant, u, task.dt)
+    assert {*files_of_plant(model, [])} == {"plant.h", "plant.c"}
+    np.testing.assert_allclose(model.response(u), y, rtol=1e-10, atol=1e-14)
+
+
 def three_passes(x):
     return lax.scan(lambda x, _: (x[::-1], None), x, length=3)[0]
 
@@ -269,16 +279,13 @@ def test_single_precision_is_refused_by_name(exported):
             FORMATS[name].make(asked)
 
 
-@pytest.mark.parametrize(("changes", "said"), [
-    ({"disturbance": Disturbance(input=np.zeros((12, 2)))},
-     "the disturbance of the machine cannot be a part of one"),
-    ({"plant": PLANTS["ball_screw_real"]}, "a table is searched for what is not known yet"),
-])  # fmt: skip
-def test_a_plant_that_has_no_fmu_is_told(exported, changes, said, monkeypatch):
+def test_a_plant_that_has_no_fmu_is_told(exported, monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
     law, y, *_ = exported
-    machine = dataclasses.replace(case("norm_optimal")[0], **changes)
+    disturbance = Disturbance(input=np.zeros((12, 2)))
+    machine = dataclasses.replace(case("norm_optimal")[0], disturbance=disturbance)
     made = FORMATS["fmu"].make(Asked(law, machine, ["A law."], "0" * 64, [y], single=False))
     assert not [name for name in made.files if name.startswith("plant")]
     assert {*made.files} <= WRITTEN
+    said = "the disturbance of the machine cannot be a part of one"
     assert made.warnings == (f"The plant has no FMU: {said}.",)
