@@ -299,8 +299,10 @@ class KeepUnmeasured(Wrapper):
         ahead = jnp.minimum(jnp.arange(N) + 1 + m, N)
 
         def kept(old: Value, new: Value) -> Value:
-            if _is_of_guard(new):  # whose other fields are no rows of a law
-                scheme = jax.tree.map(kept, old.scheme, new.scheme, is_leaf=_is_of_guard)
+            if hasattr(new, "theta"):  # parameters of functions, of which there may be N
+                return new
+            if isinstance(new, StopMemory | LadderMemory):  # other fields are no rows
+                scheme = jax.tree.map(kept, old.scheme, new.scheme, is_leaf=_is_no_row)
                 if isinstance(new, StopMemory):  # that of the best trial is kept as a whole
                     scheme = _choose(new.frozen > 0, new.scheme, scheme)
                 return new._replace(scheme=scheme)
@@ -310,11 +312,11 @@ class KeepUnmeasured(Wrapper):
             measured = there[ahead] if rows == N else there
             return jnp.where(measured.reshape(-1, *(1,) * (jnp.ndim(new) - 1)), new, old)
 
-        return jax.tree.map(kept, memory, following, is_leaf=_is_of_guard)
+        return jax.tree.map(kept, memory, following, is_leaf=_is_no_row)
 
 
-def _is_of_guard(memory: Value) -> bool:
-    return isinstance(memory, StopMemory | LadderMemory)
+def _is_no_row(memory: Value) -> bool:
+    return isinstance(memory, StopMemory | LadderMemory) or hasattr(memory, "theta")
 
 
 def _law_within(scheme: Scheme) -> Scheme:

@@ -47,9 +47,11 @@ from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.schemes import (
     CFDLMFAILC,
     PID,
+    BasisFunctions,
     ConstrainedNormOptimal,
     Feedforward,
     Filtered,
+    GivenBasis,
     GradientILC,
     KeepUnmeasured,
     Ladder,
@@ -622,6 +624,10 @@ def test_the_samples_that_are_kept_are_those_that_the_law_within_learns_from():
     memory = memory._replace(learning=Feedforward(u))
     kept = beside.learn(memory, trial._replace(signals={"feedback": jnp.zeros((N, 1))}))
     np.testing.assert_array_equal(np.flatnonzero((kept.learning.u == u)[:, 0]), [6, 7, 8])
+    of_each = BasisFunctions(GivenBasis(np.eye(N)[:, None]), PLANT)  # N parameters are no samples
+    before = of_each.initial_memory(TASK)
+    kept = KeepUnmeasured(of_each).learn(before, trial)
+    np.testing.assert_array_equal(kept.theta, of_each.learn(before, trial).theta)
 
 
 def test_of_a_sample_that_no_trial_has_measured_nothing_is_learned():
