@@ -20,7 +20,7 @@ from jaxilc.schemes import (
     WithFeedback,
     learning_filter,
 )
-from jaxilc.theory.repetitive import largest_gain
+from jaxilc.theory.repetitive import SLOPE, largest_gain
 
 DT, PERIOD, N = 1e-3, 0.05, 4000
 PLANT = StateSpace([[0.9, 0.1], [0.0, 0.7]], [[0.0], [0.3]], [[1.0, 0.0]], dt=DT)
@@ -187,8 +187,13 @@ def test_a_delay_that_changes_makes_nothing_larger_than_is_claimed():
                 row = np.eye(300)[i + 100 - int(n[i]) - 2 : i + 100 - int(n[i]) + 2]
                 W[i] = cubic(row, 2 - n[i] % 1)
             assert np.linalg.norm(W, 2) < most, fastest
-    assert 1 < largest_gain(1e-5) < 1.02
+        h = np.arange(1, 2001)
+        seen, slope = ((2 * h + 4) / (1 - fastest) + 1) / (2 * h + 1), SLOPE * fastest * h
+        bound = np.sqrt(seen) + slope * np.sqrt(6 / (1 - fastest) + 1)
+        np.testing.assert_allclose(most, np.min(bound), rtol=1e-4)
     assert largest_gain(0.0) == 1.0
+    steep = np.gradient(cubic(np.eye(4), np.linspace(1, 2, 2001)[:, None]), 5e-4, axis=0)
+    assert 0.98 * SLOPE < np.max(np.linalg.norm(steep, axis=1)) < SLOPE
 
 
 def test_the_condition_of_a_tracked_period_holds_whatever_is_tracked():

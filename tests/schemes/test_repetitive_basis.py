@@ -171,6 +171,7 @@ def test_the_map_of_a_period_tells_how_fast_the_error_falls_or_grows():
         (PID(kp=0.4), "scheme is a PID; allowed are a RepetitiveBasis of the time"),
         (RepetitiveBasis(HARMONICS, 0.1, angle=0), "scheme is a RepetitiveBasis of an angle"),
         (RepetitiveBasis(Harmonics(np.pi * 1e-2, (1,)), 0.1), "the period is 31.4159265 samples"),
+        (RepetitiveBasis(Harmonics(2e-2 + 1e-3 / 65, (1,)), 0.1), "one of which up to 64 make a"),
         (RepetitiveBasis(Harmonics(3e3, (1,)), 0.1), "take 3,000,000; allowed are 131,072"),
         (
             RepetitiveBasis(Splines(0.0, n * DT, 5), 0.1),

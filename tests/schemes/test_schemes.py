@@ -560,6 +560,9 @@ def test_on_outputs():
             [u[k] + 0.5 * (R[k + 2] - x[k + 2, 1] if k + 2 <= N else 0.0) for k in range(N)]
         )
     assert np.max(np.abs(u)) > 0.1
+    for outputs in ((), (2,), (-1,)):
+        with pytest.raises(ValueError, match=r" is not a choice among the task's outputs 0\.\.1$"):
+            OnOutputs(PIDType(), outputs).check(Task(r, dt=DT, inputs=1))
 
 
 def test_ffdl_with_the_true_model_takes_off_a_share_rho_of_the_error_in_each_trial():
