@@ -14,6 +14,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -334,27 +335,31 @@ def best_simulated(
     """The law of least error where the ends of the trial count too: the best found, and around it.
 
     The error is by the metric that judges, if that is the largest one of the trial or of its
-    settled part, else the root mean square. The search goes on from the best one by steps of gain,
-    cutoff and lead, alone and in pairs, that keep the margin and lower the error; where none does,
-    they become shorter.
+    settled part, else the root mean square. The search goes on from the best one, and from that of
+    least root mean square, by steps of gain, cutoff and lead, alone and in pairs, that keep the
+    margin and lower the error; where none does, they become shorter.
     """
     sizes = np.abs(family.P).sum(axis=1)
     which = np.unique(np.r_[0, np.argsort(sizes)[:: max(1, len(sizes) // 4)], np.argmax(sizes)])
+    judged = partial(_judged, family, which=which, task=task, trials=trials)
+    error, size = attrgetter("judged"), attrgetter("predicted")
 
-    def least(laws: list[Found]) -> Found:
-        return min(_judged(family, laws, which, task, trials), key=lambda one: one.judged)
+    def lowest(best: Found) -> Found:
+        stride = STRIDE
+        for _ in range(ROUNDS):
+            near = [one for law in _beside(best.weights, stride, task)
+                    if (one := _kept(family, law, task.dt, margin))]  # fmt: skip
+            if near and (lower := min(judged(near), key=error)).judged < LOWER * best.judged:
+                best = lower
+            elif stride < SHORTEST:
+                break
+            else:
+                stride = stride**0.5
+        return best
 
-    best, stride = least(found[:SIMULATED]), STRIDE
-    for _ in range(ROUNDS):
-        near = [one for law in _beside(best.weights, stride, task)
-                if (one := _kept(family, law, task.dt, margin))]  # fmt: skip
-        if near and (lower := least(near)).judged < LOWER * best.judged:
-            best = lower
-        elif stride < SHORTEST:
-            break
-        else:
-            stride = stride**0.5
-    return best
+    first = judged(found[:SIMULATED])
+    starts = {str(one.weights): one for one in (min(first, key=error), min(first, key=size))}
+    return min(map(lowest, starts.values()), key=error)
 
 
 def _judged(family: Family, laws: list[Found], which, task: Task, trials: int) -> list[Found]:

@@ -126,6 +126,17 @@ def test_a_law_is_searched_by_the_metric_that_judges_it():
             u = scipy.fft.idct(keep * scipy.fft.dct(u, norm="ortho"), norm="ortho")
         settled.append(np.max(np.abs(e[N // 2 - 1 :])))
     assert settled[1] < 0.2 * settled[0]
+    # from the law of least settled error the search ends at half as much again as from the other
+    starts = [
+        Found({"gamma_p": gain, "gamma_d": 0.0, "lead": lead, "cutoff": cutoff}, np.inf, 0.0)
+        for gain, lead, cutoff in ((0.2049, 3, 193.55), (0.303, 6, 59.18))
+    ]
+    family = family._replace(metric="settled_error")
+    one, other, both = (
+        best_simulated(family, of, task, TRIALS, MARGIN).judged
+        for of in (starts[:1], starts[1:], starts)
+    )
+    assert both == other < 0.75 * one
 
 
 @pytest.mark.parametrize("name", LAWS)
