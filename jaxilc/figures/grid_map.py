@@ -30,6 +30,7 @@ WIDE = 20.0  # ratio of the ends of an axis from which on it is logarithmic
 EVEN, UNEVEN = 0.1, 0.5  # shares by which steps between values differ on one axis or the other
 MOST_PANELS = 5  # of a third axis
 MARKS = "oXsDP"
+EDGE = COLOURS[1]  # around where a machine diverges, seen on each colour of a map
 QUANTILES = {"high": 0.95, "median": 0.5, "worst": 1.0}
 SHOWN = {
     "high": "95 % {} of the last trial",
@@ -89,7 +90,9 @@ def grid_map(
     of_trials = tuple(dataset["trial"].values[[0, -1]].tolist())
     ends = limits or (of_trials if shows == "best_trial" else (0, 1))
     unit = unit if of_error else ""
-    shown = Colours(SHOWN[shows].format(metric), unit, ends, log=limits is not None)
+    palette = "viridis" if shows == "yield" else "viridis_r"  # what is good is bright
+    name, log = SHOWN[shows].format(metric.replace("_", " ")), limits is not None
+    shown = Colours(name, unit, ends, log=log, palette=palette)
     chosen = [(of, at) for of in best for at in _beside(dataset, by_size[2:], of)]
     columns = len(chosen) // len(best)
     panels = []
@@ -100,6 +103,8 @@ def grid_map(
         )
         labels = [labels_for(dataset, axis, of.scheme) for axis in drawn]
         layers = layers_of(labels, here, members if of_error else None, gone, shown, i // columns)
+        if len(drawn) == 2 and gone.any() and not gone.all():
+            layers.append(Curve([], [], colour=EDGE, name="around where a machine diverges"))
         if of.anywhere and at.items() <= of.point.items():
             best_at = dataset.coords.to_dataset().sel(of.point)
             point = {str(one.name): best_at[one.name].item() for one in labels}
@@ -112,11 +117,7 @@ def grid_map(
         panels.append(Panel(*axes_of_map(labels, shown), layers, title, legend=""))
     wide = columns if columns > 1 else len(best)
     size = 1.4 + 3.4 * wide, 0.4 + 3.0 * (len(panels) // wide)
-    axes = np.ravel(draw(Figure(panels, columns=wide, size=size, shares="y")))
-    signs = {x.get_label(): x for ax in axes for x in ax.lines if x.get_marker() != "None"}
-    if marks and signs:
-        axes[0].legend(signs.values(), signs.keys(), loc="upper right", fontsize="small")
-    return axes
+    return np.ravel(draw(Figure(panels, columns=wide, size=size, shares="y", below=True)))
 
 
 def axes_of_map(labels: list[xr.DataArray], shown: Colours) -> tuple[Axis, Axis]:
@@ -146,7 +147,7 @@ def layers_of(
     places = [standing(one) for one in labels]
     if len(places) == 2:
         (x, _), (y, _) = places
-        return [Cells(x, y, here, shown, tips=tips or {}), Where(x, y, lost)]
+        return [Cells(x, y, here, shown, tips=tips or {}), Where(x, y, lost, colour=EDGE)]
     ((x, log),), style = places, style_of(number)
     layers: list[Layer] = []
     if members is not None:

@@ -95,8 +95,9 @@ def draw(figure: Figure, ax: Drawing = None) -> Drawing:
             all_named = here | all_named
         elif here and panel.legend:
             _legend(one, here, panel.columns, *PLACES[panel.legend])
-    if figure.below:
-        _legend(flat[0].figure, all_named, 6, "outside lower center")
+    if all_named:
+        columns = min(6, int(flat[0].figure.get_figwidth()) - 1)
+        _legend(flat[0].figure, all_named, columns, "outside lower center")
     _leave_out_labels(figure, flat)
     return ax
 

@@ -23,8 +23,8 @@ def test_a_map_has_the_error_of_each_point_and_a_star_at_the_best():
     shown = ax.collections[0].get_array()
     by_a = [errors[1], errors[2], errors[0]]  # in the order of a
     np.testing.assert_allclose(shown.filled(np.inf), 2.0 * np.transpose(by_a))
-    (star,) = ax.lines
-    assert (star.get_xdata()[0], star.get_ydata()[0]) == (0.1, 1)
+    assert (ax.lines[1].get_xdata()[0], ax.lines[1].get_ydata()[0]) == (0.1, 1)
+    assert named(ax) == ["around where a machine diverges", "best"]
     assert (ax.get_xlabel(), ax.get_xscale()) == ("a [V]", "log")
     edges = ax.collections[0].get_coordinates()[0, :, 0]
     np.testing.assert_allclose(edges[1:] * edges[:-1], np.square([0.1, 1.0, 10.0]))  # around each
@@ -77,7 +77,7 @@ def test_the_best_trial_of_a_selection_has_its_own_number():
 def test_where_all_diverges_no_point_is_best():
     dataset = dataset_of([[np.inf, np.inf], [np.inf, np.inf]], ["p", "q"])
     (ax,) = figures.grid_map(dataset, metric="rms", marks={"off": {"a": 99.0, "b": "p"}})
-    assert (list(ax.lines), ax.get_legend()) == ([], None)
+    assert (list(ax.lines), ax.figure.legends) == ([], [])
 
 
 def test_a_third_axis_has_panels_and_marks_stand_where_they_are():
@@ -92,8 +92,7 @@ def test_a_third_axis_has_panels_and_marks_stand_where_they_are():
         "half": {"a": 1.0},
     }
     panels = figures.grid_map(dataset, metric="rms", marks=marks)
-    names = [text.get_text() for text in panels[0].get_legend().get_texts()]
-    assert sorted(names) == ["best", "printed"]
+    assert sorted(named(panels[0])) == ["best", "printed"]
     assert [ax.get_title() for ax in panels] == [f"law, c = {c}" for c in (0, 2, 4, 5, 7)]
     for c, ax in zip((0, 2, 4, 5, 7), panels, strict=True):
         found = {x.get_label(): (x.get_xdata()[0], x.get_ydata()[0]) for x in ax.lines}
@@ -165,7 +164,8 @@ def watched(factor, b, **bounds):
 
 
 def named(ax):
-    return [text.get_text() for text in ax.get_legend().get_texts()]
+    legend = ax.get_legend() or ax.figure.legends[0]
+    return [text.get_text() for text in legend.get_texts()]
 
 
 def test_contraction_is_the_mean_of_the_trials_and_infinite_where_a_machine_diverges():
@@ -205,6 +205,8 @@ def test_more_marks_than_there_are_signs_are_all_drawn():
     watch = watched([[0.5, 2.0], [0.5, 2.0]], ["p", "q"])
     for ax in (*maps, *figures.contraction_map(watch, marks=marks)):
         assert marks.keys() <= {*named(ax)}
+    ends = maps[0].figure.legends[0].get_window_extent().intervalx
+    assert 0 <= ends[0] < ends[1] <= maps[0].figure.bbox.width
 
 
 @pytest.mark.thorough
