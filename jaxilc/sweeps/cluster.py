@@ -14,6 +14,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import json
+import logging
 import pickle
 import re
 import socket
@@ -85,8 +86,14 @@ def workers(plan: Plan, cluster: str | Path | Client) -> Generator[Workers]:
         raise ConnectionError(
             f"no Dask scheduler answers at {address} within {PATIENCE:g} s"
         ) from None
-    with client:
-        yield Workers(client, plan)
+    log = logging.getLogger("distributed.client")
+    level = log.level
+    log.setLevel(logging.CRITICAL)  # it logs a traceback of what `ChunkFailed` says in a line
+    try:
+        with client:
+            yield Workers(client, plan)
+    finally:
+        log.setLevel(level)
 
 
 class Workers:

@@ -6,6 +6,7 @@ The tests also check what is refused.
 import contextlib
 import dataclasses
 import json
+import logging
 import os
 import signal
 import socket
@@ -303,7 +304,16 @@ def test_the_command_takes_a_scheduler_file(monkeypatch, tmp_path, client):
         json.dumps({"type": "Scheduler", "address": client.scheduler.address})
     )
     small = ("--scheme", "pid", "--trials", 2, "--samples", 8)
+    dasks, room, tells = logging.getLogger("distributed.client"), cluster.Workers.room, []
+
+    def seen(self, stored):
+        tells.append(dasks.isEnabledFor(logging.ERROR))  # as the traceback of a killed scheduler
+        return room(self, stored)
+
+    monkeypatch.setattr(cluster.Workers, "room", seen)
     assert not sweep_command(monkeypatch, *small, "--out", "many", "--dask", "scheduler.json")
+    assert tells == [False]
+    assert dasks.isEnabledFor(logging.ERROR)
     assert not sweep_command(monkeypatch, *small, "--out", "alone")
     xr.testing.assert_identical(
         *(jaxilc.open_dataset(tmp_path / out / "dataset.zarr") for out in ("many", "alone"))
