@@ -351,6 +351,16 @@ def test_a_response_that_is_singular_has_no_bounded_inverse():
     assert not condition.condition.holds
 
 
+def test_the_product_of_arcs_departs_from_its_line_as_far_as_is_claimed():
+    """Where all numbers are positive, nothing of the bound is given away at the end of the arc."""
+    h, *parts = np.random.default_rng(4).uniform(0.1, 2.0, (7, 3))
+    one, other = (Arc(x[:, None, None], y[:, None, None], c) for x, y, c in (parts[:3], parts[3:]))
+    found = one.times(other, h)
+    a, b, line = (x.value[:, 0, 0] + h * x.slope[:, 0, 0] for x in (one, other, found))
+    product = (a + h**2 * one.curve) * (b + h**2 * other.curve)
+    np.testing.assert_allclose(line + h**2 * found.curve, product, rtol=1e-12)
+
+
 def test_norm_optimal_condition_is_the_norm_of_the_lifted_map():
     """It is sigma_max of (W_e G'G + W_u + W_D)^-1 (W_D + W_e G'(G - G_t)) at N = 100."""
     task, weights = Task(np.zeros(101), dt=DT), {"w_e": 1.0, "w_u": 1e-3, "w_delta": 0.05}
