@@ -13,7 +13,7 @@ from cases import ALGEBRA, ARX, DT, PRINTED, assert_close
 from jaxilc.learning import Disturbance, Machine, check, run_trial
 from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.schemes import CFDLMFAC, CFDLMFAPC, FFDLMFAC, PFDLMFAC
-from jaxilc.schemes.mfac import _quotient
+from jaxilc.schemes.mfac import _quotient, reset_estimate
 from jaxilc.signals import Task
 
 N = 70
@@ -414,3 +414,11 @@ def test_what_is_refused_is_named(case):
         build()
     for part in parts:
         assert part in str(caught.value), f"{part!r} is missing in: {caught.value}"
+
+
+def test_a_smooth_reset_is_weighed_by_its_formula():
+    phi, du = np.random.default_rng(6).normal(0.0, 0.1, (2, 2, 30))
+    phi0 = np.array([0.2, -0.3])[:, None]
+    found = reset_estimate([*phi], du[0], [*phi0], component=1, epsilon=0.04, mode="smooth")
+    w = 1 / (1 + np.exp(1 + phi[1] / 0.04)) / (1 + np.exp(1 - np.abs(du[0]) / 0.04))
+    np.testing.assert_allclose(found, phi0 + w * (phi - phi0), rtol=1e-12)
