@@ -84,6 +84,9 @@ def test_each_field_has_its_range():
             if field.name in vars(cls).get("__annotations__", {}):
                 choices, interval = (field.metadata.get(key) for key in ("choices", "interval"))
                 said = " ".join(map(str, choices)) if choices else str(interval)
+                if interval is not None and interval.low < interval.high:
+                    whole = str(field.type).startswith("int")
+                    assert field.metadata.get("whole", False) == whole, f"{name}.{field.name}"
                 if said not in ("None", "(-inf, inf)"):
                     found.setdefault(said, set()).add(f"{name}.{field.name}")
     assert found == {said: set(names.split()) for said, names in RANGES.items()}
