@@ -14,9 +14,14 @@ The names are listed in `__init__.pyi` and imported on first use, so that `jaxil
 wait for JAX.
 """
 
-from importlib.metadata import version
-
 import lazy_loader
 
-__version__ = version(__name__)
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_named, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    if name != "__version__":
+        return _named(name)
+    from importlib.metadata import version  # which takes as long as all that is above
+
+    return version(__name__)

@@ -1,5 +1,94 @@
-"""The command line: a command reads its options, calls the library, and prints the result."""
+"""The command line: a command reads its options, calls the library, and prints the result.
 
-import lazy_loader
+Python sees Ctrl-C between two of its own instructions only: not while a program is compiled or
+runs, which may take a minute. And a process that ends waits for such threads, or fails in them. So
+a thread watches for the signal itself, from before the modules of the commands are imported. The
+command has a moment to say how to go on; then the process ends. Files are whole at each moment, so
+that nothing is lost.
+"""
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from contextlib import suppress
+from typing import Any
+
+__all__ = ["app", "main"]
+MOMENT = 2.0  # [s] for the command to end by itself
+INTERRUPTED = 130  # exit code
+STOPPED = (
+    "stopped; files that were written are whole: sweep, tune, pareto, design and learn-law go on "
+    "with --resume, the other commands start again"
+)
+_seen = threading.Event()
+_watching: list[threading.Thread] = []
+
+
+def __getattr__(name: str) -> Any:
+    """The program `app`, whose modules take half a second to import."""
+    if name != "app":
+        raise AttributeError(f"module {__name__} has no attribute {name!r}")
+    from .entry import app
+
+    return app
+
+
+def main() -> None:
+    """Run the command line, as `entry.main`; Ctrl-C ends it in one line at any moment."""
+    try:
+        _heed()
+        from .entry import main as run
+
+        run()
+    except SystemExit:
+        raise
+    except BaseException:  # as which an interrupt ends depends on where it came
+        leave()
+        raise
+
+
+def leave() -> None:
+    """End the process now, where it was Ctrl-C that ended the command; else do nothing."""
+    if _seen.wait(0.1 if _watching else 0.0):
+        _end()
+
+
+def _heed() -> None:
+    """Watch for Ctrl-C from now on; only the main thread of a program can."""
+    if threading.current_thread() is not threading.main_thread() or os.name == "nt" or _watching:
+        return
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return  # ignored, as by what a shell starts in the background, or a host's own
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until somebody watches
+    seen, told = os.pipe()
+    os.set_blocking(told, False)
+    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
+    sys.unraisablehook = _unless_interrupted
+    _watching.append(threading.Thread(target=_watch, args=(seen,), daemon=True))
+    _watching[0].start()
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+def _unless_interrupted(told: sys.UnraisableHookArgs) -> None:
+    """Tell what nobody can catch, as Python does, but for an interrupt, of which `_watch` tells."""
+    if told.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(told)
+
+
+def _watch(seen: int) -> None:
+    while os.read(seen, 1)[0] != signal.SIGINT:
+        pass
+    _seen.set()
+    time.sleep(MOMENT)
+    _end()
+
+
+def _end() -> None:
+    with suppress(Exception):
+        sys.stdout.flush()
+        print(STOPPED, file=sys.stderr, flush=True)
+    os._exit(INTERRUPTED)

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import gc
-import os
 import re
-import signal
 import sys
-import threading
-import time
 import traceback
 import warnings
 from collections.abc import Callable
@@ -20,7 +16,7 @@ import typer.core
 from rich.markup import escape
 from typer import Option
 
-from . import commands
+from . import INTERRUPTED, commands, leave
 from .console import ended, err, prefer, speak, tracebacks, warn
 from .explore import explore
 from .hardware import SETTINGS, Refused, next_, trials
@@ -143,7 +139,6 @@ def main() -> None:
     """
     warnings.showwarning = cast(Any, _in_one_line)
     gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
-    heed()
     try:
         words = sys.argv[1:] or ["--help"]
         code = app(words, prog_name="jaxilc", standalone_mode=False)
@@ -192,57 +187,6 @@ def _short(said: str) -> str:
     """A message in one line, without the middle of long words."""
     said = LONG_WORD.sub(r"\1...\2", " ".join(said.split("\n")))
     return said if len(said) <= LONGEST else f"{said[: LONGEST - 4]} ..."
-
-
-# Ctrl-C
-# --------------------------------------------------------------------------------------------------
-
-# Python sees an interrupt between two of its own instructions only: not while a program is compiled
-# or runs, which may take a minute. And a process that ends waits for such threads, or fails in
-# them. So a thread watches for the signal itself. The command has a moment to say how to go on;
-# then the process ends. Files are whole at each moment, so that nothing is lost.
-MOMENT = 2.0  # [s] for the command to end by itself
-INTERRUPTED = 130  # exit code
-STOPPED = (
-    "stopped; files that were written are whole: sweep, tune, pareto, design and learn-law go on "
-    "with --resume, the other commands start again"
-)
-_seen = threading.Event()
-_watching: list[threading.Thread] = []
-
-
-def heed() -> None:
-    """Watch for Ctrl-C from now on; only the main thread of a program can."""
-    if threading.current_thread() is not threading.main_thread() or os.name == "nt" or _watching:
-        return
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        return  # ignored, as by what a shell starts in the background, or a host's own
-    seen, told = os.pipe()
-    os.set_blocking(told, False)
-    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
-    _watching.append(threading.Thread(target=_watch, args=(seen,), daemon=True))
-    _watching[0].start()
-
-
-def leave() -> None:
-    """End the process now, where it was Ctrl-C that ended the command; else do nothing."""
-    if _seen.wait(0.1 if _watching else 0.0):
-        _end()
-
-
-def _watch(seen: int) -> None:
-    while os.read(seen, 1)[0] != signal.SIGINT:
-        pass
-    _seen.set()
-    time.sleep(MOMENT)
-    _end()
-
-
-def _end() -> None:
-    with suppress(Exception):
-        sys.stdout.flush()
-        print(STOPPED, file=sys.stderr, flush=True)
-    os._exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

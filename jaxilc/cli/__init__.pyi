@@ -1,3 +1,0 @@
-from .entry import app, main
-
-__all__ = ["app", "main"]
