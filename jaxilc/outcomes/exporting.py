@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 NUMBERS = ("double", "float")
 TESTED = 4  # trials of the test program, the last one with an output that is not a number
+APART = 0.1  # share of the largest input by which single precision may change one
 
 
 def export(
@@ -103,6 +104,8 @@ def export(
                      correction=kept.get("correction"), trials=kept.get("seen"))  # fmt: skip
     except Unknown as error:
         raise ValueError(f"{name} cannot be exported: {error}") from None
+    if number == "float":
+        need_single(law, name)
     progress("certify")
     claimed = _claimed(chosen, name, largest, machines, seed)
     source = kept["source"]
@@ -178,6 +181,24 @@ def _positive(limit: Value, number: str) -> bool:
     with np.errstate(over="ignore"):
         held = np.asarray(limit).astype("f4" if number == "float" else "f8")
     return bool(np.all(np.isfinite(held) & np.greater(held, 0)))
+
+
+def need_single(law: Law, name: str) -> None:
+    """Raises ValueError for a law that plays other inputs where its numbers are `float`.
+
+    It has the roundings that it allows for from double precision, in which it was traced.
+    """
+    trials = trials_of_test(law)
+    u, other = (
+        np.array([played.trial(y)[0] for y in trials])
+        for played in (law.played(np.float64), law.played(np.float32))
+    )
+    largest = np.max(np.abs(u))
+    if not np.max(np.abs(other - u)) <= APART * largest:
+        raise ValueError(
+            f"--number float: in single precision {name} plays up to {np.max(np.abs(other)):.3g} "
+            f"where it plays {largest:.3g} in double precision; allowed is --number double"
+        )
 
 
 def trials_of_test(law: Law) -> list[np.ndarray]:

@@ -19,7 +19,7 @@ from jaxilc.export.certificate import CERTIFICATE, certificate_of
 from jaxilc.export.guard import CODES, Trials
 from jaxilc.export.steps import dft
 from jaxilc.native.program import Unknown
-from jaxilc.outcomes.exporting import trials_of_test
+from jaxilc.outcomes.exporting import need_single, trials_of_test
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import pytree
 from jaxilc.schemes import (
@@ -118,6 +118,22 @@ class OfLastRise(PIDType):
         powers = sum(0.1 * bent**i for i in range(1)) + 0.01 * (last // 2 % 3 + (~last & 5))
         u = jnp.where(jnp.arange(len(e))[:, None] > last, powers, u)
         return {name: u, nothing: 2 * empty}
+
+
+@pytree
+class Cancels(PIDType):
+    """A law that takes the difference of numbers that are one in single precision."""
+
+    def learn(self, memory, trial):
+        return Feedforward(trial.u + self.gamma_p * ((1 + trial.e[1:] / self.gamma_p) - 1))
+
+
+def test_a_law_that_single_precision_changes_is_refused():
+    """A regression played 640 V for 0.85 V: it knows of the rounding of double precision only."""
+    need_single(law_of(Cancels(gamma_p=1.0), task_of("p_type"), 1e3), "law")
+    said = r"--number float: in single precision law plays up to 0 .* is --number double"
+    with pytest.raises(ValueError, match=said):
+        need_single(law_of(Cancels(gamma_p=1e9), task_of("p_type"), 1e3), "law")
 
 
 @needs_c
