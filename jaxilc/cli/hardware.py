@@ -423,8 +423,8 @@ def verdict(
     said = f"verdict: trial {trial} has an RMS error of {error:.4g} {unit}".rstrip()
     if len(errors) > 1 and begun:
         times = error / begun
-        share = f"{times:.2%}" if times > 0.01 else f"{100 * times:.2g}%"
-        said += f", {f'{times:.3g} times' if times > 1 else share} of that of trial {first}"
+        share = f"{times:.2%} of" if times > 0.01 else f"{100 * times:.2g}% of"
+        said += f", {f'{times:.3g} times' if times > 1 else share} that of trial {first}"
     ended = f"learning has ended, and the input of trial {best} may be played from now on: "
     ended += back_to(state, best, out_file)
     if stop is not None and error <= stop:
@@ -588,6 +588,8 @@ def next_(
         _bind(now.journal)
     said, changed = _say_source(opened.recipe)
     source = [*said, changed] if changed else said
+    if not new:
+        _say_otherwise(now.journal)
     schedules = now.first_schedules() if new else now.schedules(undo)
     trial = 1 if new else (now.trials if undo is None else undo) + 1
     if measured is None and not new:
@@ -698,6 +700,16 @@ def _say_source(recipe: Mapping[str, Value]) -> tuple[list[str], str]:
     if changed:
         warn(f"warning: {changed}")
     return said, changed
+
+
+def _say_otherwise(journal: Journal) -> None:
+    """Warn where this call computes in another precision than the last, or in other versions."""
+    from ..runtime.provenance import differences, environment
+
+    lines = differences(journal.last_known().get("environment", {}), environment())
+    if told := [line for line in lines if line.startswith(("precision", "versions"))]:
+        warn(f"warning: this call computes otherwise than the last of {journal.path}: "
+             f"{'; '.join(told)}")  # fmt: skip
 
 
 def _say_not_kept(opened: Opened) -> None:

@@ -34,7 +34,7 @@ from ..storage.sealed import as_json, checksum
 from . import calibration, checks
 from .calibration import Expected
 from .checks import Finding, Rules
-from .journal import BACK, METRICS, Journal, Manifest, is_part, whole_trials
+from .journal import BACK, DAMAGED, METRICS, Journal, Manifest, is_part, whole_trials
 from .prediction import Prediction, next_step
 from .trial_files import Measured, completed, ended, keeping, stored, told_of_end
 
@@ -165,7 +165,8 @@ class Campaign:
             last["recipe"] if recipe is None else recipe,
         )
         made = "started with another configuration"
-        need_same(path, as_json(last["configuration"]), campaign.configuration, made)
+        then = "; go on with that one, or start a campaign in another folder"
+        need_same(path, as_json(last["configuration"]), campaign.configuration, made, then)
         return campaign
 
     @property
@@ -395,6 +396,7 @@ class Campaign:
         commands |= {f"the schedule {name}": played[name] for name in {*played} - {"u"}}
         taught = last if any(m["learned"] for m in live[1:]) else None
         findings += checks.as_the_command(y, taught, commands, accept)
+        findings += checks.exchanged(y, r, accept)
         if not by_part:
             findings += checks.jumped(y, r, last, accept, self.task.unit)
         beside = 0.0  # else the input depends on y, unless its share of the feedback was recorded
@@ -510,7 +512,10 @@ class Campaign:
         if trial not in behind:
             said = "there is none before the start"
             if behind:
-                said = f"allowed are 0 to {max(behind)}, after which a call without --undo goes on"
+                said = f"allowed are {min(behind)} to {max(behind)}, after which a call without "
+                said += "--undo goes on"
+            elif any(m["event"] == DAMAGED for m in self.journal.manifests()):
+                said = "none can be read; start a campaign in another folder"
             raise ValueError(f"trial = {trial} is not one to go back to; {said}")
         return behind[trial]
 

@@ -136,7 +136,17 @@ def as_commanded(
         return []
     k, unit = int(np.argmax(off)), spaced(task.input_unit)
     text = f"the measured input is up to {off[k]:.3g}{unit} away (sample {k}) from {of}"
-    return [Finding("warning", text)]
+    return [Finding("warning", text + shifted(u, replayed, allowed))]
+
+
+def shifted(signal, wanted, allowed: float) -> str:
+    """By how many samples, up to three, a signal (rows, n) is what it should be but for a shift."""
+    off, s = min(
+        (float(np.max(np.abs(a - b))), s)
+        for s in range(1, min(4, len(signal)))
+        for a, b in ((signal[s:], wanted[:-s]), (signal[:-s], wanted[s:]))
+    )
+    return f"; it is that one shifted by {s} sample{'s' * (s > 1)}" if off <= allowed else ""
 
 
 def as_played(
@@ -407,6 +417,7 @@ def _rms(signal) -> float:
 STILL = 0.02  # share of the range of the last trial below which a channel counts as constant
 DEAD = 1e-3  # share of the range of the reference, where no trial before has moved
 TRAVEL = 0.25  # share of that range over which a channel that stands still ought to have moved
+NEARER = 0.5  # share of the error to its own reference that an output has to another's
 FASTER = 5.0  # times the fastest step of reference and last trial that no motion exceeds
 ROUGH = 20.0  # times the median step: in the first trial, a step below it may be noise
 MISPLAYED = 0.1  # share of the input's rms by which the recorded input may differ
@@ -514,6 +525,24 @@ def as_the_command(y, last_y, commands: Mapping[str, np.ndarray], accept) -> lis
                 found.append(_refused("frozen", text, accept))
                 break
     return found
+
+
+def exchanged(y, r, accept: tuple[str, ...]) -> list[Finding]:
+    """Two outputs, each of which is nearer to the reference of the other one than to its own.
+
+    y: (rows, n_y) output, as far as it was measured;  r: (N+1, n_y) reference
+    """
+    off = np.sqrt(np.mean((y[:, :, None] - r[: len(y), None]) ** 2, axis=0))
+    near = off < NEARER * np.diag(off)[:, None]
+    return [
+        _refused(
+            "frozen",
+            f"y{i} follows the reference of y{j}, and y{j} that of y{i}; suspected is the order of "
+            "the columns",
+            accept,
+        )
+        for i, j in zip(*np.nonzero(np.triu(near & near.T)), strict=True)
+    ]
 
 
 def _longest_run(s) -> tuple[int, int]:

@@ -50,7 +50,7 @@ from ..storage.columns import (
     read_columns,
 )
 from ..storage.mat_files import ROOM, Other, read_mat
-from .checks import AS_PLAYED, LEARNED, Finding, kind, spaced
+from .checks import AS_PLAYED, LEARNED, Finding, kind, shifted, spaced
 from .journal import ENDED
 
 RATE_TOLERANCE = 1e-3  # share of the sample time by which the median step may differ
@@ -390,17 +390,10 @@ def _check_reference(path, r, places, task: Task) -> None:
     off = np.max(np.abs(r - wanted), axis=1)
     if np.any(off > allowed):
         k = int(np.argmax(off))
-        shifted = [
-            s
-            for s in range(1, 4)
-            for a, b in ((r[s:], wanted[:-s]), (r[:-s], wanted[s:]))
-            if np.max(np.abs(a - b)) <= allowed
-        ]
-        hint = f"; it is that reference shifted by {shifted[0]} samples" if shifted else ""
         unit = spaced(task.unit)
         raise ValueError(
             f"{path}, {places[k]}: r is {off[k]:.3g}{unit} away from the task's reference; "
-            f"allowed is {allowed:.3g}{unit}{hint}"
+            f"allowed is {allowed:.3g}{unit}{shifted(r, wanted, allowed)}"
         )
 
 

@@ -80,12 +80,16 @@ def differences(found: object, wanted: object) -> list[str]:
 
 
 def need_same(
-    path: object, found: object, wanted: object, made: str = "made with another configuration"
+    path: object,
+    found: object,
+    wanted: object,
+    made: str = "made with another configuration",
+    then: str = "",
 ) -> None:
     """Raises ValueError, naming what differs, for a path made with another configuration."""
     differing = differences(found, wanted) or _reordered(found, wanted)
     if differing:
-        raise ValueError(f"{path} was {made}; it differs in: {'; '.join(differing)}")
+        raise ValueError(f"{path} was {made}; it differs in: {'; '.join(differing)}{then}")
 
 
 def need_described(configuration: object, name: str = "") -> None:

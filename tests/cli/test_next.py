@@ -16,6 +16,7 @@ from jaxilc.learning import Machine
 from jaxilc.learning.variation import Variation
 from jaxilc.outcomes import export
 from jaxilc.plants import StateSpace
+from jaxilc.runtime import provenance
 from jaxilc.runtime.provenance import describe
 from jaxilc.scenarios import load_scenario
 from jaxilc.scenarios.campaigns import need_recorded
@@ -182,13 +183,24 @@ def test_a_changed_plant_file_is_told_with_what_it_means(copied):
     assert "has changed since the campaign took it" in warned
     assert "learning goes on as before" in warned
     file.write_text(AXIS.replace("frequency = 2.5", "frequency = 5.0"))
-    with pytest.raises(ValueError, match=r"it differs in: task.reference.*axis.toml has changed"):
+    told = r"in: task.reference.*; go on with that one, or start .* folder; .*axis.toml has changed"
+    with pytest.raises(ValueError, match=told):
         go_on()
     out, warned = call("trials", "--state", folder / "x", "--plot", folder / "t.png")
     assert "has changed" in warned
     assert "neither reference nor experiments of the campaign are known" in warned
     assert (folder / "t.png").stat().st_size > 10_000
     assert "verdict: trial 3" in out
+
+
+def test_a_call_that_computes_otherwise_than_the_last_one_is_told(copied, monkeypatch):
+    """In single precision, or after an update, a campaign went on without a word."""
+    now = provenance.environment()
+    other = now | {"precision": "float32", "devices": 7}
+    other["versions"] = now["versions"] | {"jax": "0.1"}
+    monkeypatch.setattr(provenance, "environment", lambda: other)
+    (warned,) = copied[1]()[1].splitlines()
+    assert re.search("x: precision: float64 there, float32 here; versions.jax: .* 0.1 here", warned)
 
 
 def test_a_limit_of_a_call_without_a_trial_holds_and_is_said_to_be_forgotten(copied):

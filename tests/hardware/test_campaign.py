@@ -457,7 +457,7 @@ def test_an_input_beyond_the_limit_is_refused_by_sample_and_value(copied):
             lambda rows: [
                 rows[0], *(cut(a, 1, b.split(",")[1]) for a, b in pairwise([*rows[1:], rows[-1]])),
             ],
-            "shifted by 1 samples",
+            "shifted by 1 sample",
         ),
     ],
 )  # fmt: skip

@@ -155,6 +155,16 @@ def test_an_entry_that_cannot_be_read_may_be_an_undo_and_a_trial_before_it_undon
     assert [opened(folder).doubt(trial) for trial in (1, 2)] == ["", ""], "no entry is damaged"
 
 
+def test_where_nothing_can_be_gone_back_to_the_refusal_says_so(copied):
+    folder, _ = copied
+    (folder / "head.json").unlink()
+    for entry, said in (("000000", "allowed are 1 to 3, "), ("000001", "none can be read; start")):
+        for name in ("manifest.json", "manifest.copy.json"):
+            (folder / entry / name).write_bytes(b"")
+        with pytest.raises(ValueError, match=f"trial = 0 is not one to go back to; {said}"):
+            opened(folder).undo(0)
+
+
 def test_without_its_head_a_campaign_goes_on_from_its_last_trial(copied):
     folder, played = copied
     (folder / "head.json").unlink()

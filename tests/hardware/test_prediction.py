@@ -271,7 +271,7 @@ def test_a_verdict_says_whether_learning_goes_on():
     assert "has ended" not in said(*repeats, 1.0, 1.0, looked_at=(2, 3, 4))
     assert "has ended" in said(*repeats, 1.0, 1.0, 1.0, looked_at=(2, 3, 4))
     assert "trial 4 has an" in said(*repeats[:3], 9.0, accepted=(2, 4))
-    assert said(*repeats, 9.0, 8.0, 7.0, 6.0, accepted=(6,)).endswith("3 times of that of trial 1")
+    assert said(*repeats, 9.0, 8.0, 7.0, 6.0, accepted=(6,)).endswith("3 times that of trial 1")
     assert "the input of trial 8" in said(*repeats, 9.0, *[8.0, 7.0, 7.0, 7.0, 7.0], accepted=(6,))
     found = said(2.0, 3.0, of_step=2)
     assert "trial 2 is experiment 1 between" in found

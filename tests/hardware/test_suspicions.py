@@ -9,6 +9,7 @@ from rigs_of_many_kinds import cylinder
 from two_mass_rig import DT, Rig, read_schedule, stroke
 
 from jaxilc.hardware import Rules, checks
+from jaxilc.signals import Task
 
 R = stroke()
 U = R[:-1, None]
@@ -68,6 +69,22 @@ def test_an_output_that_is_a_command_is_its_column_and_not_a_perfect_trial():
     counts = {"the reference": r.round(2)}  # an encoder of 10 µm, and an axis that has learned
     assert checks.as_the_command(r.round(2), (r + 10 * noise).round(2), counts, ()) == []
     assert len(checks.as_the_command(r.round(2), LAST.round(2), counts, ())) == 1
+
+
+def test_outputs_in_another_order_and_a_shifted_input_are_told():
+    """Both were learned from; the shift was told as one of the machine's feedback or limit."""
+    y = np.hstack([LAST, 0.5 * LAST[::-1]])
+    r = y + 0.01 * np.random.default_rng(0).normal(size=y.shape)
+    (found,) = said(checks.exchanged(y[:, ::-1], r, ()))
+    assert found.startswith("refusal: y0 follows the reference of y1, and y1 that of y0; suspected")
+    for good in (y, 0 * y, y[:, [0, 0]], y[:200]):
+        assert checks.exchanged(good, r, ()) == []
+    task = Task(R, dt=DT, input_unit="V")
+    for late in (-2, 3):
+        (found,) = said(checks.as_commanded(np.roll(U, late), U, None, task))
+        assert found.endswith(f"; it is that one shifted by {abs(late)} samples")
+    (found,) = said(checks.as_commanded(0.9 * U, U, None, task))
+    assert "shifted" not in found
 
 
 def test_lost_counts_and_another_unit_are_steps_that_no_motion_makes():
