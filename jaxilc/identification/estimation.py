@@ -31,7 +31,16 @@ from .problem import (
     problem_of,
 )
 from .records import Record, as_columns, output_from_rest
-from .verdict import WHITE, Identified, autoregression, fit_of, judged, whiteness_of
+from .verdict import (
+    WHITE,
+    Estimate,
+    Identified,
+    autoregression,
+    fit_of,
+    judged,
+    of_least_bic,
+    whiteness_of,
+)
 
 MOST = 50  # largest number of poles, pairs or zeros; a record can determine far fewer
 LITTLE = 0.02  # of what is left: a loop or a start that explains less is none
@@ -502,6 +511,7 @@ SAMPLES, MOST_LOOKED_AT = 5, 20_000  # for each parameter at least, and of a rec
 CHANCE = 1e-5  # with which an open loop is taken for a closed one, where the input is random
 FORESEEN, LINES = 0.005, 0.85  # share its past leaves, power in a quarter of its spectrum: no noise
 ANSWERED = 0.2  # of what is left of such an input: a feedback that explains less is none
+ROUNDS = 3  # of the plant and its noise in turn
 SHARE = 0.1  # of the samples: length of F at most
 LONGEST = 400  # samples
 
@@ -543,14 +553,44 @@ def feedback_seen(record: Record, residual, *, late: int = 0) -> bool:
     return bool(scipy.stats.f.sf(ratio, LAGS, freedom) < CHANCE)
 
 
+def with_noise(record: Record, found: Identified) -> Identified:
+    """A fit again, together with the noise that it left: an autoregression of its residual.
+
+        A y = A P u + e,    A = 1 - sum_j a_j z^-j    which makes the residual of `found` white
+
+    So nothing of the past of the noise is left that the input of a closed loop could tell, and the
+    fit is not biased where plant and noise have such a form (Ljung 1999, section 13.4); e is then
+    white. Of the result `white` and the intervals are those of e, the rest is that of y - P u.
+
+    record: one input, one output;  found: the fit to it
+    """
+    record, n = checked_record(record), found.samples
+    left, bias = record.y - found.simulated, found.parameters["bias"].value
+    for _ in range(ROUNDS):
+        a = np.append(1.0, -of_least_bic(autoregression(left[:n, 0])[1], n))
+        u, y = (scipy.signal.lfilter(a, 1.0, one, axis=0) for one in (record.u, record.y - bias))
+        found = identify(record._replace(u=u, y=y), found.plant, from_rest=found.from_rest)
+        own = Estimate(*(bias + of / np.sum(a) for of in found.parameters["bias"]))
+        simulated, bias = validated(record, found.plant).simulated, own.value
+        left = record.y - simulated
+    return found._replace(
+        parameters=found.parameters | {"bias": own},
+        simulated=simulated,
+        fit=fit_of(record.y[:n], left[:n]),
+        validation_fit=fit_of(record.y[n:], left[n:]),
+        residual_std=np.std(left[:n], axis=0),
+    )
+
+
 def of_reference(record: Record, reference) -> Record:
     """The record with the part of its input that the reference made, in place of the input.
 
         u_r = F r,    F: an impulse response by least squares
 
     With a feedback the input answers the noise of the output, and a fit to u is biased where that
-    noise is not white. A fit from u_r to y is not, whatever noise and feedback are: what the
-    feedback added is noise of the output (Van den Hof and Schrama 1993).
+    noise is not white. A fit from u_r to y is not in long records, whatever noise, feedback and
+    plant are: what the feedback added is noise of the output (Van den Hof and Schrama 1993). Of N
+    samples and n numbers F, a share n / N of the noise in u stays in u_r.
 
     reference: (N,) recorded reference
     Raises ValueError for a reference that does not move.

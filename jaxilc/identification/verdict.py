@@ -207,7 +207,7 @@ def widened(covariance, J, residual):
         _, r = autoregression(residual[:, i])
         if not r[0] > 0:  # an output without a residual
             continue
-        a = _of_least_bic(r, n)
+        a = of_least_bic(r, n)
         left = max(r[0] - a @ r[1 : len(a) + 1], 0.0)
         if len(a):
             a[0] += max(min((n * np.sum(a) + 1) / (n - 3), 1 - 1 / n) - np.sum(a), 0.0)
@@ -226,7 +226,7 @@ def widened(covariance, J, residual):
     return covariance * np.outer(factor, factor)
 
 
-def _of_least_bic(r, n) -> np.ndarray:
+def of_least_bic(r, n) -> np.ndarray:
     """The autoregression of (n,) samples with covariances r, of the order of least BIC."""
     fits = [scipy.linalg.solve_toeplitz(r[:m], r[1 : m + 1]) for m in range(1, len(r))]
     fits = [np.zeros(0), *fits]

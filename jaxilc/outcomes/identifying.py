@@ -21,6 +21,7 @@ from ..identification.estimation import (
     not_significant,
     of_reference,
     validated,
+    with_noise,
 )
 from ..identification.grown_response import (
     LineModel,
@@ -75,7 +76,15 @@ OTHER_RATE = (
 )
 OF_REFERENCE = (
     "A loop was closed in this record: the plant is fitted from its reference, the column r, so "
-    "that the noise in the input adds no bias; the residual holds what the feedback did about it."
+    "that the noise in the input adds little bias; the residual holds what the feedback did about "
+    "it."
+)
+OF_NOISE = (
+    "A loop was closed in this record: the plant is fitted together with an autoregression of its "
+    "noise, whose own residual is the white one, so that the noise in the input adds no bias."
+)
+OF_WHITE = (
+    "A loop was closed in this record; the noise in the input adds no bias, since it is white."
 )
 SECOND = "A record that was not fitted, and the output that the plant predicts."
 NO_LAW = "No filtered P-type law was found that learns on the fitted plant: the file has no scheme."
@@ -164,12 +173,20 @@ def _of_loop(path: Path, asked: Reading, fitted: Fitted) -> tuple[Fitted, list[s
     one = y.shape[1] == np.ndim(np.atleast_1d(record.u[0])) == 1
     if not one or not feedback_seen(record, y - found.simulated):
         return fitted, []
-    try:
+    reference = None
+    with contextlib.suppress(ValueError):
         reference = asked._replace(input=REFERENCE).of_record(path).record.u
-    except ValueError:
-        later = feedback_seen(record, y - found.simulated, late=1)
-        return fitted, [UNKNOWN_REFERENCE if later else WITHIN_A_SAMPLE]
-    found = identification.identify(of_reference(record, reference), found.plant)
+    if reference is None and not feedback_seen(record, y - found.simulated, late=1):
+        return fitted, [WITHIN_A_SAMPLE]
+    from_reference = None if reference is None else of_reference(record, reference)
+    if found.white:
+        return fitted, [OF_WHITE]
+    again = with_noise(record, found)
+    if again.white:
+        return fitted._replace(found=again), [OF_NOISE]
+    if from_reference is None:
+        return fitted, [UNKNOWN_REFERENCE]
+    found = identification.identify(from_reference, found.plant)
     return fitted._replace(found=found), [OF_REFERENCE]
 
 
