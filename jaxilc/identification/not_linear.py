@@ -236,18 +236,14 @@ def _friction(seen: Seen) -> list[Candidate]:
 
 
 def _backlash(seen: Seen) -> list[Candidate]:
-    def evidence(half):
-        return f"a gap of {2 * half:.3g} in units of the input, crossed at each reversal"
-
-    return [Candidate(-_held(_moving(seen.u)), 1, evidence)]
+    said = "a gap of {:.3g} in units of the input, crossed at each reversal"
+    return [Candidate(-_held(_moving(seen.u)), 1, lambda half: said.format(2 * half))]
 
 
 def _amplitude(seen: Seen) -> list[Candidate]:
     def evidence(change):
-        more = "larger" if change > 0 else "smaller"
-        return (
-            f"at the largest input the gain is {100 * abs(change):.2g} % {more} than at small ones"
-        )
+        more = f"{100 * abs(change):.2g} % " + ("larger" if change > 0 else "smaller")
+        return f"at the largest input the gain is {more} than at small ones"
 
     return [Candidate(seen.u**3 / np.max(np.abs(seen.u)) ** 2, 0, evidence)]
 
@@ -317,9 +313,8 @@ def _resting(seen: Seen) -> float:
     edges = np.flatnonzero(np.diff(still.astype(int)))
     rests = zip(edges[::2], edges[1::2], strict=True)
     moved = MOVES * np.ptp(seen.u)
-    return sum(b - a for a, b in rests if b - a >= RESTS and np.ptp(seen.u[a:b]) > moved) / len(
-        step
-    )
+    rested = [b - a for a, b in rests if b - a >= RESTS and np.ptp(seen.u[a:b]) > moved]
+    return sum(rested) / len(step)
 
 
 def _rounding(seen: Seen) -> Suspicion | None:
@@ -330,8 +325,7 @@ def _rounding(seen: Seen) -> Suspicion | None:
     share = min(q * q / 12 / float(np.var(seen.e)), 1.0)
     if share < LEAST:
         return None
-    left = float(np.std(seen.e)) * np.sqrt(1 - share)
-    said = f"the output moves in steps of {q:.3g}"
+    left, said = float(np.std(seen.e)) * np.sqrt(1 - share), f"the output moves in steps of {q:.3g}"
     return Suspicion("rounding", seen.order, left, share, q, said)
 
 

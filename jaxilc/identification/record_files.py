@@ -593,8 +593,9 @@ def _found(
     path: str | Path, content: dict[str, MatValue], name: str
 ) -> tuple[dict[str, MatValue], MatValue]:
     """The structure (or file) that holds a signal, and the signal."""
-    level, rest = content, list[tuple[dict[str, MatValue], MatValue]]()
+    value: MatValue = content
     for part in name.split("."):
+        level = value if isinstance(value, dict) else {}
         if part not in level and level is content:  # within the only structure that has it
             holders = [of for of in content.values() if isinstance(of, dict) and part in of]
             level = holders[0] if len(holders) == 1 else level
@@ -604,9 +605,7 @@ def _found(
                 f"{listed(level)}; --input (input) and --output (output) name others"
             )
         value = level[part]
-        rest.append((level, value))
-        level = value if isinstance(value, dict) else {}
-    return rest[-1]
+    return level, value
 
 
 def _own_times(value: dict[str, MatValue]) -> tuple[Named, Named] | None:
