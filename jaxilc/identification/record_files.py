@@ -199,10 +199,11 @@ def _check_increasing(path, time: str, one: Signal) -> None:
     steps = np.diff(one.times)
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0))
+        again = "Cut the file where its clock began again" if steps[k] else "Keep one row of a time"
         raise ValueError(
             f"read_record: {path}, {one.places[k + 1]}: {time} = {one.times[k + 1]:.15g} s does "
-            f"not increase from {one.times[k]:.15g} s; allowed are times that increase. Cut the "
-            f"file where its clock began again; {COUNTED}"
+            f"not increase from {one.times[k]:.15g} s; allowed are times that increase. {again}; "
+            f"{COUNTED}"
         )
 
 
