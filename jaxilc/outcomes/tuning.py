@@ -114,12 +114,7 @@ def tune(
     progress("comparing", problem.steps, problem.steps)
     dataset = problem.compare(tuned, trials=compare_trials, machines=unseen)
     numbers = tuning_numbers(chosen, scheme, tuned, dataset)
-    for name, of in weights_of(weights).items():
-        for weight, row in numbers["weights"].items():
-            if of is not None and name in (weight, weight.partition("[")[0]):
-                row["range"] = [*map(float, of)]
-                if (end := _end_reached(problem, weight, row)) is not None:
-                    row["end"] = end
+    _tell_ranges(problem, weights, numbers["weights"])
     result, warnings = tuning_lines(tuned, numbers)
     by_last = is_error_of(problem, chosen.judged_by, numbers["trials"])
     shown = dataclasses.replace(request, trials=compare_trials or request.trials)
@@ -409,6 +404,16 @@ def _unfinished(tunings: Mapping[str, Numbers], of: str = "{}") -> list[str]:
     which = of.format(", ".join(late))
     more = f"The last step was the best{which}: more --steps, in another --out, may gain more."
     return [more] if late else []
+
+
+def _tell_ranges(problem: Tuning, weights: str, rows: Numbers) -> None:
+    """Add to the rows of weights that have bounds their range, and the end that was reached."""
+    bounded = tuple(f"{name}[" for name, of in weights_of(weights).items() if of is not None)
+    for weight, row in rows.items():
+        if f"{weight}[".startswith(bounded):
+            row["range"] = [problem.bijections[weight].low, problem.bijections[weight].high]
+            if (end := _end_reached(problem, weight, row)) is not None:
+                row["end"] = end
 
 
 def _end_reached(problem: Tuning, name: str, row: Numbers) -> float | None:

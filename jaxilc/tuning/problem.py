@@ -27,6 +27,7 @@ How learning affects the gradients:
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -69,6 +70,7 @@ from .descent import (
     Folder,
     State,
     Step,
+    Z,
     counted,
     descended,
     for_starts,
@@ -308,7 +310,8 @@ class Tuning:
                 again = dataclasses.replace(self, lanes=begun)
                 return again.run(out, resume=True, progress=progress)
         z = self._weights.starts(self.starts, self.scatter, self.seed)
-        init, step, held_out = self._programs
+        init, step, _ = self._programs
+        refused: list[str] = []
         with ExitStack() as opened:
             place = None
             if resume and out is not None and Path(out).exists():  # refused before it is compiled
@@ -327,15 +330,34 @@ class Tuning:
             now, reason = descended(
                 step,
                 now if place is None else place.latest(now),
-                lambda z: held_out(self._weights.at(z)),
+                lambda z: self._held_out_at(z, refused),
                 validate_every=self.validate_every,
                 patience=self.patience,
                 after_step=after_step,
             )
+        if refused:
+            said = f"Tuning: weights that the scheme refuses together are not chosen: {refused[0]}"
+            warnings.warn(f"{said}. Give narrower bounds", RuntimeWarning, stacklevel=2)
         best = self._weights.at(now.best_z)
         both = {name: np.array([self.start[name], best[name]], z.dtype) for name in best}
         before, after = self.held_out_losses(both).tolist()
         return Tuned.of(now, self._weights, self.scheme, before, after, reason)
+
+    def _held_out_at(self, z: Z, refused: list[str]) -> np.ndarray:
+        """(K,) the held-out losses at z (K, P), infinite where the scheme refuses the weights.
+
+        Each weight is allowed by itself, but two may not be so together; why is added to `refused`.
+        """
+        rows = self._weights.at(z)
+        losses = np.array(self._programs[2](rows))
+        for k in np.flatnonzero(np.isfinite(losses)):
+            try:
+                scheme = self.scheme_of({name: float(of[k]) for name, of in rows.items()})
+                check(self.population.machine, scheme, self.task)
+            except ValueError as error:
+                refused.append(str(error))
+                losses[k] = np.inf
+        return losses
 
     def held_out_losses(self, rows: Mapping[str, np.ndarray]) -> np.ndarray:
         """(n,) the held-out losses of n values of each weight, by the program that `run` uses."""

@@ -156,11 +156,10 @@ class Weights:
         asked = asked if isinstance(asked, Mapping) else dict.fromkeys(asked)
         if not asked:
             raise ValueError("Tuning: weights is empty; at least one is needed")
-        bounds = {
-            element: b
-            for name, of in asked.items()
-            for element, b in _elements(scheme, name, of).items()
-        }
+        found = {name: _elements(scheme, name, of) for name, of in asked.items()}
+        bounds = {element: b for of in found.values() for element, b in of.items()}
+        for name in sorted(found, key=lambda name: name.count("[")):  # an element's own ones count
+            bounds |= found[name]
         start = {name: float(get_at(scheme, name)) for name in bounds}
         return cls({name: Bijection.of(*b, start[name]) for name, b in bounds.items()}, start)
 

@@ -26,11 +26,12 @@ from jaxilc.outcomes.reproducing import _by_paper, reproduce_verdict
 from jaxilc.outcomes.request import REPEATED, Request
 from jaxilc.outcomes.running import run_numbers, run_verdict
 from jaxilc.outcomes.sweeping import sweep_verdict
-from jaxilc.outcomes.terms import objective_of
+from jaxilc.outcomes.terms import objective_of, weights_of
 from jaxilc.outcomes.tuning import (
     _drawn,
     _end_reached,
     _over,
+    _tell_ranges,
     budget_verdict,
     front_verdict,
     in_words,
@@ -46,7 +47,7 @@ from jaxilc.plants import StateSpace
 from jaxilc.scenarios import Scenario
 from jaxilc.scenarios.published import NOTHING, Fit, Published
 from jaxilc.scenarios.reproduction import Row
-from jaxilc.schemes import ModelFreeGradient, NormOptimal, PIDType
+from jaxilc.schemes import LearningFilter, ModelFreeGradient, NormOptimal, PIDType
 from jaxilc.signals import Task
 from jaxilc.sweeps.runs import run_schemes
 from jaxilc.sweeps.summary import SchemeSummary, wilson_interval
@@ -617,6 +618,18 @@ def test_a_weight_has_come_to_an_end_only_where_it_moved_there_and_may_go_on():
         ("w_r", 0.5, 0.999, 1.0), ("w_r", 0.5, 0.001, None), ("w_r", 0.01, 0.008, None),
     ):  # fmt: skip
         assert _end_reached(problem, name, {"given": given, "tuned": value}) == end
+
+
+def test_the_range_of_each_element_is_told_as_it_was_asked_for():
+    law = LearningFilter([[0.0, 0.5, 0.1], [0.1, 0.4, 0.0]], starts=(2,))
+    plant, asked = StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1e-3), "L[0][1]=0:1,L[0]=-2:3,L[1]"
+    of = Machine(plant), law, Task(np.ones(5), dt=1e-3), 2
+    problem = Tuning(*of, weights_of(asked), machines=1, held_out=0)
+    rows = {name: {"given": x, "tuned": x} for name, x in problem.start.items()}
+    _tell_ranges(problem, asked, rows)
+    found = {name: row.get("range") for name, row in rows.items()}
+    ends = {"L[0][0]": [-2.0, 3.0], "L[0][1]": [0.0, 1.0], "L[0][2]": [-2.0, 3.0]}
+    assert found == dict.fromkeys(f"L[1][{i}]" for i in range(3)) | ends
 
 
 def test_a_tuning_is_for_the_error_of_the_last_trial_or_for_more():

@@ -24,7 +24,7 @@ from jaxilc.learning import Machine, Sensor, learn
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import get_at
 from jaxilc.runtime.provenance import describe
-from jaxilc.schemes import Filtered, ModelFreeGradient, PIDType
+from jaxilc.schemes import Filtered, HigherOrder, ModelFreeGradient, PIDType
 from jaxilc.signals import Task
 from jaxilc.tuning import Tuning
 from jaxilc.tuning.descent import Evaluation, by_gradient, by_least_squares, for_starts
@@ -416,6 +416,40 @@ def test_elements_and_arrays_are_tuned_by_name_and_ends_are_left():
     assert all(
         tuned.weights[name][1, 0] != tuned.weights[name][0, 0] for name in problem.bijections
     )
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_bounds_of_an_element_count_beside_those_of_its_array(order):
+    """An element's own bounds were lost where its array was named after it."""
+    both = {"filter.taps[1]": (0.2, 0.3), "filter.taps": (0.1, 2.0)}
+    scheme = Filtered(PIDType(gamma_p=0.5), ZeroPhaseFIR((0.5, 0.25)))
+    weights = dict([*both.items()][::order])
+    found = dataclasses.replace(PROBLEM, scheme=scheme, weights=weights).bijections
+    ends = {name: (of.low, of.high) for name, of in found.items()}
+    assert ends == {"filter.taps[0]": (0.1, 2.0), "filter.taps[1]": (0.2, 0.3)}
+
+
+# Each alpha is allowed by itself, but their sum is not above 1, to which the error leads.
+TOGETHER = {
+    "scheme": HigherOrder((0.45, 0.45), (0.1, 0.1)), "weights": {"alpha": (0.05, 0.54)},
+    "trials": 4, "machines": 1, "uncertainty": {}, "steps": 1, "rate": 1.0, "held_out": 0,
+}  # fmt: skip
+
+
+def test_weights_that_are_refused_together_are_not_held_best():
+    problem, refused = dataclasses.replace(PROBLEM, **TOGETHER), []
+    vars(problem)["_programs"] = None, None, lambda rows: jnp.array([0.2, 0.1, jnp.nan])
+    found = problem._held_out_at(np.array([[0.0, 0.0], [9.0, 9.0], [0.0, 0.0]]), refused)
+    np.testing.assert_array_equal(found, np.array([0.2, np.inf, np.nan], found.dtype))
+    assert refused[0].startswith("HigherOrder: the sum of alpha = 1.07968 is")
+
+
+@pytest.mark.thorough
+def test_a_tuning_whose_steps_are_refused_leaves_the_weights_as_given():
+    problem = dataclasses.replace(PROBLEM, **TOGETHER)
+    with pytest.warns(RuntimeWarning, match=r"refuses together .* the sum of alpha = 1\.00\d+ is"):
+        tuned = problem.run()
+    assert tuned.values == pytest.approx({"alpha[0]": 0.45, "alpha[1]": 0.45}, rel=1e-12)
 
 
 @pytest.mark.thorough
