@@ -55,6 +55,7 @@ def explore(
         chosen = request.scenario()
         from ..figures.explorer import explore as application
         from ..outcomes.request import open_grid
+        from ..scenarios.from_file import load_scenario
 
         told("compiling")
         axes: dict[str, Value] | xr.Dataset | None = request.grid(grid, chosen) if grid else None
@@ -66,6 +67,7 @@ def explore(
             machines=machines,
             source=request.source,
             repeated=request.repeated("run"),
+            printed=load_scenario(request.source, chosen.options),
             grid=axes,
             progress=lambda name, done, fresh: told(f"map: {done} machines"),
         )

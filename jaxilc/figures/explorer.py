@@ -104,6 +104,7 @@ class Exploration:
         `Sweep`; one where nothing tells them apart
     source, repeated: name or file of the scenario, and the options that lead to it from there, for
         the command line
+    printed: the scenario without those options, which a parameter file goes on; None for the same
     grid: axes of a map, as for `Sweep`, which is run on these machines; or the dataset of such a
         sweep, of which axes that no slider moves stay as in the scenario
     progress: as for `Sweep.run`
@@ -119,6 +120,7 @@ class Exploration:
         machines: int = MACHINES,
         source: str | None = None,
         repeated: Sequence[str] = (),
+        printed: Scenario | None = None,
         grid: Mapping[str | tuple[str, ...], Value] | xr.Dataset | None = None,
         progress: Callable[[str, int, int], None] | None = None,
     ):
@@ -126,7 +128,7 @@ class Exploration:
         learning = [name for name, one in scenario.schemes.items() if one.learns]
         name = scheme or next(iter(learning or scenario.schemes))
         self.scenario, self.source = scenario.select((name,)), source or scenario.name
-        self.repeated = tuple(repeated)
+        self.repeated, self.printed = tuple(repeated), printed or self.scenario
         self.name, self.given = name, self.scenario.schemes[name]
         check(scenario.machine, self.given, scenario.task)
         self.draws = draws(scenario.machine)
@@ -280,7 +282,8 @@ class Exploration:
 
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         s, moved = self.scenario, self._read(values)[1]
-        changed = {self.name: differing(self.scheme_with(values), self.given)}
+        printed = self.printed.schemes[self.name]
+        changed = {self.name: differing(self.scheme_with(values), printed)}
         made = {"machine": describe(replaced(s.machine, moved))}
         how = {"command": "jaxilc explore", "options": dict(s.options), "configuration": made}
         return write_parameters(Path(path), s.name, changed, how)
@@ -305,7 +308,7 @@ def _control(tree: Tree, path: str, dt: float) -> Control | None:
         reach = max(4 * abs(number), 1.0)
         ends = (max(low, number - reach), min(high, number + reach))
     if path.rpartition(".")[2].startswith("cutoff"):
-        ends = (ends[0], min(ends[1], 0.49 / dt))
+        ends = (ends[0], min(ends[1], max(0.49 / dt, number)))
     if ends[1] <= ends[0]:
         return None
     log = not whole and ends[0] > 0 and ends[1] / ends[0] > 30
@@ -313,10 +316,11 @@ def _control(tree: Tree, path: str, dt: float) -> Control | None:
 
 
 def _spread_of(scenario: Scenario) -> float | None:
-    """The half-width of the first relative uniform uncertainty; None without one."""
+    """The larger half-width of the first relative uncertainty; None without one."""
     for one in scenario.uncertainty.values():
-        if getattr(one, "relative", False) and hasattr(one, "high"):
-            return float(np.max(np.asarray(one.high))) - 1.0
+        if one.relative:
+            low, high = one.corners()
+            return max(high - 1.0, 1.0 - low)
     return None
 
 
@@ -350,7 +354,7 @@ def _computed(scheme, drawn, task, f, *, trials, metric, keep, frequency):
 
 
 POINTS = 1200  # of a signal
-SPREADS = (1.0, 60.0)  # ends of the slider of the spread [%]
+SPREADS = (1.0, 60.0)  # ends of the slider of the spread [%], but for one given beyond them
 UNITS = {"cutoff": "Hz", "lead": "samples"}  # of weights by the last part of their paths
 TALLEST = 1e3  # times the first error, up to which errors are shown
 LATEST = 0.4  # [s] after which the band does not wait for newer values any more
@@ -376,10 +380,10 @@ class Explorer:
         self.sliders = {control.path: _slider(control) for control in exploration.controls}
         self.spread = None
         if exploration.spread is not None:
-            self.spread = Slider(
-                title="spread of the machines [%]", start=SPREADS[0], end=SPREADS[1], step=0.5,
-                value=_held(100 * exploration.spread, *SPREADS),
-            )  # fmt: skip
+            given = 100 * exploration.spread
+            low, high = self.spreads = min(SPREADS[0], given), max(SPREADS[1], given)
+            title = "spread of the machines [%]"
+            self.spread = Slider(title=title, start=low, end=high, step=0.5, value=given)
         self.errors = ColumnDataSource({n: [] for n in ("j", "nominal", "low", "high", "worst")})
         self.size = ColumnDataSource({"f": [], "size": [], "worst": []})
         self.told, self.line = Div(text=""), Div(text="")
@@ -418,8 +422,8 @@ class Explorer:
         """The spread of the slider; None where it was not moved, or there is none."""
         if self.spread is None or self.of.spread is None:
             return None
-        asked, given = (_held(x, *SPREADS) for x in (self.spread.value, 100 * self.of.spread))
-        return None if math.isclose(asked, given, abs_tol=0.2) else asked / 100
+        asked = _held(self.spread.value, *self.spreads)
+        return None if math.isclose(asked, 100 * self.of.spread) else asked / 100
 
     def layout(self) -> LayoutDOM:
         """All of the page."""

@@ -13,21 +13,24 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from unittest import mock
 
 import jax
 import numpy as np
 import pytest
 from browser import looking_at, needs_chromium
+from cases import first_order, follows, p_type
+from command import done
 
-from jaxilc import Machine, Sensor, Sweep, Task, learn
+from jaxilc import Machine, Sensor, Sweep, Task, learn, load_scenario
 from jaxilc.cli.explore import LOOPBACK, _place, server_of
 from jaxilc.figures.explorer import Exploration, Explorer, _computed
 from jaxilc.filters.zero_phase import ZeroPhaseButterworth
 from jaxilc.plants import StateSpace
 from jaxilc.scenarios import Scenario
-from jaxilc.scenarios.parameters import warn_of_another, with_parameters
+from jaxilc.scenarios.parameters import warn_of_another, with_parameters, write_parameters
 from jaxilc.schemes import AtSamples, Filtered, Ladder, PIDType
-from jaxilc.uncertainty import Uniform, draw, drawn_machine
+from jaxilc.uncertainty import Normal, Uniform, draw, drawn_machine
 
 DT, N, TRIALS = 1e-3, 60, 5
 
@@ -206,6 +209,22 @@ def test_what_was_found_can_be_shared(explored, tmp_path):
     path = explored.save(values, tmp_path / "new" / "params.json")
     law = with_parameters(explored.scenario, path).schemes["ilc"]
     assert jax.tree.all(jax.tree.map(np.array_equal, law, explored.scheme_with(values)))
+
+
+def test_the_file_of_a_page_holds_what_was_set_before_it_was_opened(tmp_path, monkeypatch):
+    file, found = tmp_path / "axis.toml", tmp_path / "found.json"
+    file.write_text(f"{first_order()}{follows(50.0, 0.02)}{p_type(0.5)}")
+    write_parameters(found, "axis", {"ilc": {"gamma_p": 0.7, "leak": 0.1}}, {})
+
+    def page(*of, folder, progress, **how):
+        return Exploration(*of, **how)
+
+    monkeypatch.setattr("jaxilc.figures.explorer.explore", page)
+    with mock.patch("jaxilc.cli.explore._serve") as served:
+        done("explore", file, "--params", found, "--set", "ilc.lead=1", "--port", "0")
+    served.call_args.args[0].save({"gamma_p": 0.3}, tmp_path / "params.json")
+    law = with_parameters(load_scenario(file), tmp_path / "params.json").schemes["ilc"]
+    assert (law.gamma_p, law.leak, law.lead) == (0.3, 0.1, 1)
 
 
 def test_what_the_parameter_file_leaves_out_is_told_beside_it(tmp_path):
@@ -432,15 +451,28 @@ def test_the_last_trial_shows_the_largest_error_of_every_output(tmp_path):
         assert [item.label.value for item in one.legend[0].items] == ["x", "y"]
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("ends", [(0.2, 1.8), (0.5, 0.9)])
-def test_a_spread_that_no_slider_reaches_stays_until_its_slider_is_moved(ends, tmp_path):
-    wide = dataclasses.replace(axis(), uncertainty={"plant.B": Uniform(*ends, relative=True)})
+@pytest.mark.parametrize(
+    ("of", "shown"),
+    [
+        (Uniform(0.2, 1.8, relative=True), 80.0), (Uniform(0.5, 0.9, relative=True), 50.0),
+        (Uniform(0.997, 1.003, relative=True), 0.3), (Normal(1.0, 0.05, relative=True), 10.0),
+    ],
+)  # fmt: skip
+def test_a_spread_is_shown_as_it_is_and_stays_until_its_slider_is_moved(of, shown, tmp_path):
+    wide = dataclasses.replace(axis(), uncertainty={"plant.B": of})
     page = Explorer(Exploration(wide, machines=4, source="axis.toml"), tmp_path)
-    assert page.spread_asked() is None
+    assert (page.spread.value, page.spread_asked()) == (pytest.approx(shown), None)
     assert "--spread" not in page.line.text
-    page.spread.value = 20.0
-    assert page.spread_asked() == pytest.approx(0.2)
+    for moved in (60.0, 1.0):
+        page.spread.value = moved
+        assert page.spread_asked() == pytest.approx(moved / 100)
+
+
+def test_a_cutoff_beyond_its_slider_is_shown_as_it_is(tmp_path):
+    s = axis().with_values({"ilc.filter.cutoff": 495.0})
+    page = Explorer(Exploration(s, machines=1, source="axis.toml"), tmp_path)
+    assert page.values()["filter.cutoff"] == pytest.approx(495.0, rel=1e-12)
+    assert "--set" not in page.line.text
 
 
 @pytest.mark.parametrize(
