@@ -555,9 +555,8 @@ def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str
     problem, first = of.problem, of.problem.objective
     losses = trade_off.held_out_losses(problem, first, second)  # compiled once for both
     points = of.solve(partial(trade_off.pareto, problem, first, second, shares, losses=losses))
-    one, other = losses(problem.start).tolist()
-    given = one, other
-    rows: Numbers = {"given": {"first": given[0], "second": given[1], "weights": problem.start}}
+    one, other = given = losses(problem.start).tolist()
+    rows: Numbers = {"given": {"first": one, "second": other, "weights": problem.start}}
     rows |= {
         str(p.share): {
             "first": p.first,

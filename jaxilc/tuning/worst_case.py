@@ -183,12 +183,9 @@ class _Box:
         """The values by name at t (n,); a log-uniform one is interpolated by its logarithm."""
         values = {}
         for i, (name, distribution) in enumerate(self.uncertainty.items()):
-            low, high = distribution.corners()
+            (low, high), left = distribution.corners(), 1 - t[i]  # exact at both ends
             log = isinstance(distribution, LogUniform)
-            # this form is exact at both ends
-            values[name] = (
-                low ** (1 - t[i]) * high ** t[i] if log else (1 - t[i]) * low + t[i] * high
-            )
+            values[name] = low**left * high ** t[i] if log else left * low + t[i] * high
         return values
 
     def worst(self, t, losses, evaluations: int, best) -> WorstCase:
@@ -290,19 +287,16 @@ def worst_machine(
     """
     need_learned_at_last("worst_machine", scheme, task, trials)
     require("worst_machine", "starts", starts, "[1, inf)", whole=True)
-    of_a_step = starts * (1 + GRADIENT_COST)
-    for name, count, least in (("evaluations", evaluations, of_a_step), ("draws", draws, 1)):
-        if count is not None:
-            require("worst_machine", name, count, f"[{least}, inf)", whole=True)
-    steps = steps if evaluations is None else evaluations // of_a_step
-    population = Population.of(machine, uncertainty)
+    of_a_step, population = starts * (1 + GRADIENT_COST), Population.of(machine, uncertainty)
     each = bytes_of_a_draw(population.uncertainty)
     check_size("worst-case", 4 * bytes_of_metrics(task), trial=trials, starts=starts)
     if evaluations is None:
         check_size("worst-case", each * (1 + GRADIENT_COST), starts=starts, steps=steps)
-    for name, count in (("evaluations", evaluations), ("draws", draws)):
+    for name, count, least in (("evaluations", evaluations, of_a_step), ("draws", draws, 1)):
         if count is not None:
+            require("worst_machine", name, count, f"[{least}, inf)", whole=True)
             check_size("worst-case", each, **{name: count})
+    steps = steps if evaluations is None else evaluations // of_a_step
     objective, keep = _Largest(metric), Keep.of(quantities or {})
 
     key = jax.random.key(seed)
