@@ -260,9 +260,10 @@ class Exploration:
         }
 
     def command(self, values: Mapping[str, float], spread: float | None = None) -> str:
-        """The command line that simulates the same on one machine, or on many with a spread.
+        """The command line that simulates the same on one machine, or with a spread on others.
 
-        Of a machine that draws noise, `run` has another draw than the nominal machine here.
+        Of a machine that draws noise, `run` has another draw than the nominal machine here, and a
+        sweep draws more machines.
         """
         words = ["jaxilc", "run" if spread is None else "sweep", self.source, "--scheme", self.name]
         return shlex.join([*words, *self.repeated, *self.settings(values, spread)])
