@@ -14,7 +14,10 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
+from types import FrameType
 from typing import Any
 
 __all__ = ["app", "main"]
@@ -31,7 +34,7 @@ _watching: list[threading.Thread] = []
 def __getattr__(name: str) -> Any:
     """The program `app`, whose modules take half a second to import."""
     if name != "app":
-        raise AttributeError(f"module {__name__} has no attribute {name!r}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from .entry import app
 
     return app
@@ -63,20 +66,37 @@ def _heed() -> None:
         return
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return  # ignored, as by what a shell starts in the background, or a host's own
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until somebody watches
-    seen, told = os.pipe()
-    os.set_blocking(told, False)
-    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
-    sys.unraisablehook = _unless_interrupted
-    _watching.append(threading.Thread(target=_watch, args=(seen,), daemon=True))
-    _watching[0].start()
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until somebody watches
+    try:
+        seen, told = os.pipe()
+        os.set_blocking(told, False)
+        signal.set_wakeup_fd(told, warn_on_full_buffer=False)
+        signal.signal(signal.SIGINT, _interrupted)
+        sys.unraisablehook = partial(_unless_interrupted, sys.unraisablehook)
+        _watching.append(threading.Thread(target=_watch, args=(seen,), daemon=True))
+        _watching[0].start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _unless_interrupted(told: sys.UnraisableHookArgs) -> None:
-    """Tell what nobody can catch, as Python does, but for an interrupt, of which `_watch` tells."""
+def _interrupted(_: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt; but end at once where a module is imported, such as one in C.
+
+    NumPy and JAX do not survive an error while they begin.
+    """
+    while frame is not None:
+        if frame.f_globals.get("__name__") == "importlib._bootstrap":
+            _end()
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+def _unless_interrupted(
+    tell: Callable[[sys.UnraisableHookArgs], object], told: sys.UnraisableHookArgs
+) -> None:
+    """Tell what nobody can catch, as before, but for an interrupt, of which `_watch` tells."""
     if told.exc_type is not KeyboardInterrupt:
-        sys.__unraisablehook__(told)
+        tell(told)
 
 
 def _watch(seen: int) -> None:

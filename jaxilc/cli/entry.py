@@ -187,7 +187,3 @@ def _short(said: str) -> str:
     """A message in one line, without the middle of long words."""
     said = LONG_WORD.sub(r"\1...\2", " ".join(said.split("\n")))
     return said if len(said) <= LONGEST else f"{said[: LONGEST - 4]} ..."
-
-
-if __name__ == "__main__":
-    main()

@@ -96,8 +96,9 @@ def draw(figure: Figure, ax: Drawing = None) -> Drawing:
         elif here and panel.legend:
             _legend(one, here, panel.columns, *PLACES[panel.legend])
     if all_named:
-        columns = min(6, int(flat[0].figure.get_figwidth()) - 1)
-        _legend(flat[0].figure, all_named, columns, "outside lower center")
+        of = flat[0].figure  # a page, or a part of one
+        columns = max(1, min(6, int(of.bbox.width / of.figure.dpi) - 1))
+        _legend(of, all_named, columns, "outside lower center")
     _leave_out_labels(figure, flat)
     return ax
 

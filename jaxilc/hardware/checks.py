@@ -141,11 +141,12 @@ def as_commanded(
 
 def shifted(signal, wanted, allowed: float) -> str:
     """By how many samples, up to three, a signal (rows, n) is what it should be but for a shift."""
-    off, s = min(
+    pairs = (
         (float(np.max(np.abs(a - b))), s)
         for s in range(1, min(4, len(signal)))
         for a, b in ((signal[s:], wanted[:-s]), (signal[:-s], wanted[s:]))
     )
+    off, s = min(pairs, default=(np.inf, 0))
     return f"; it is that one shifted by {s} sample{'s' * (s > 1)}" if off <= allowed else ""
 
 
@@ -528,21 +529,17 @@ def as_the_command(y, last_y, commands: Mapping[str, np.ndarray], accept) -> lis
 
 
 def exchanged(y, r, accept: tuple[str, ...]) -> list[Finding]:
-    """Two outputs, each of which is nearer to the reference of the other one than to its own.
+    """Outputs of which each is nearer to the reference of another one of them than to its own.
 
     y: (rows, n_y) output, as far as it was measured;  r: (N+1, n_y) reference
     """
     off = np.sqrt(np.mean((y[:, :, None] - r[: len(y), None]) ** 2, axis=0))
-    near = off < NEARER * np.diag(off)[:, None]
-    return [
-        _refused(
-            "frozen",
-            f"y{i} follows the reference of y{j}, and y{j} that of y{i}; suspected is the order of "
-            "the columns",
-            accept,
-        )
-        for i, j in zip(*np.nonzero(np.triu(near & near.T)), strict=True)
-    ]
+    nearest, own = np.argmin(off, axis=1), np.arange(len(off))
+    moved = np.flatnonzero(off[own, nearest] < NEARER * off[own, own])
+    if not moved.size or sorted(nearest[moved]) != [*moved]:
+        return []
+    said = ", ".join(f"y{i} follows the reference of y{nearest[i]}" for i in moved)
+    return [_refused("frozen", f"{said}; suspected is the order of the columns", accept)]
 
 
 def _longest_run(s) -> tuple[int, int]:

@@ -158,7 +158,8 @@ class Weights:
             raise ValueError("Tuning: weights is empty; at least one is needed")
         found = {name: _elements(scheme, name, of) for name, of in asked.items()}
         bounds = {element: b for of in found.values() for element, b in of.items()}
-        for name in sorted(found, key=lambda name: name.count("[")):  # an element's own ones count
+        given = [name for name, of in asked.items() if of is not None]
+        for name in sorted(given, key=lambda name: name.count("[")):  # an element's own ones count
             bounds |= found[name]
         start = {name: float(get_at(scheme, name)) for name in bounds}
         return cls({name: Bijection.of(*b, start[name]) for name, b in bounds.items()}, start)

@@ -131,7 +131,7 @@ class Cancels(PIDType):
 def test_a_law_that_single_precision_changes_is_refused():
     """A regression played 640 V for 0.85 V: it knows of the rounding of double precision only."""
     need_single(law_of(Cancels(gamma_p=1.0), task_of("p_type"), 1e3), "law")
-    said = r"--number float: in single precision law plays up to 0 .* is --number double"
+    said = r"--number float: in single precision inputs of law are off .* is --number double"
     with pytest.raises(ValueError, match=said):
         need_single(law_of(Cancels(gamma_p=1e9), task_of("p_type"), 1e3), "law")
 

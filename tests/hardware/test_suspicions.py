@@ -76,7 +76,11 @@ def test_outputs_in_another_order_and_a_shifted_input_are_told():
     y = np.hstack([LAST, 0.5 * LAST[::-1]])
     r = y + 0.01 * np.random.default_rng(0).normal(size=y.shape)
     (found,) = said(checks.exchanged(y[:, ::-1], r, ()))
-    assert found.startswith("refusal: y0 follows the reference of y1, and y1 that of y0; suspected")
+    follows = "y{} follows the reference of y{}".format
+    assert found.startswith(f"refusal: {follows(0, 1)}, {follows(1, 0)}; suspected")
+    three = np.column_stack([r, r[:, 0] * r[:, 1]])
+    (found,) = said(checks.exchanged(three[:, [1, 2, 0]], three, ()))
+    assert f"{follows(1, 2)}, {follows(2, 0)}" in found
     for good in (y, 0 * y, y[:, [0, 0]], y[:200]):
         assert checks.exchanged(good, r, ()) == []
     task = Task(R, dt=DT, input_unit="V")

@@ -427,6 +427,9 @@ def test_the_bounds_of_an_element_count_beside_those_of_its_array(order):
     found = dataclasses.replace(PROBLEM, scheme=scheme, weights=weights).bijections
     ends = {name: (of.low, of.high) for name, of in found.items()}
     assert ends == {"filter.taps[0]": (0.1, 2.0), "filter.taps[1]": (0.2, 0.3)}
+    bounds = {"filter.taps[1]": None, "filter.taps": (0.1, 2.0)}  # no bounds of its own
+    found = dataclasses.replace(PROBLEM, scheme=scheme, weights=bounds).bijections
+    assert {(of.low, of.high) for of in found.values()} == {(0.1, 2.0)}
 
 
 # Each alpha is allowed by itself, but their sum is not above 1, to which the error leads.

@@ -97,7 +97,7 @@ say(found)
 
 # %% design (slow)
 say(outcomes.design("axis.toml", laws=("p-type",), machines=8, steps=2))
-# Take p-type: P-type with lead and filter, gamma_p = 0.9956, cutoff = 29.82 Hz, lead = 4
+# Take p-type: P-type with lead and filter, gamma_p = 1.361, cutoff = 98.3 Hz, lead = 6
 # samples.
 
 # %% learn_law (slow)
