@@ -389,6 +389,7 @@ def _options(function: Callable[..., object]) -> tuple[str, list[inspect.Paramet
     for paragraph in "\n\n".join(inspect.getdoc(one) or "" for one in documented).split("\n\n"):
         found = _explained(paragraph)
         if found.keys() & given.keys():
+            assert found.keys() <= given.keys(), f"{function} has no {found.keys() - given.keys()}"
             own |= found
         else:
             about.append(paragraph)
