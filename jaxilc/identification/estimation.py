@@ -511,6 +511,7 @@ SAMPLES, MOST_LOOKED_AT = 5, 20_000  # for each parameter at least, and of a rec
 CHANCE = 1e-5  # with which an open loop is taken for a closed one, where the input is random
 FORESEEN, LINES = 0.005, 0.85  # share its past leaves, power in a quarter of its spectrum: no noise
 ANSWERED = 0.2  # of what is left of such an input: a feedback that explains less is none
+MISSED = 1e-3  # chance of what the past of the input tells of e, below which a plant is missed
 ROUNDS = 3  # of the plant and its noise in turn
 SHARE = 0.1  # of the samples: length of F at most
 LONGEST = 400  # samples
@@ -549,8 +550,7 @@ def feedback_seen(record: Record, residual, *, late: int = 0) -> bool:
     least = ANSWERED if of_lines or first < FORESEEN * size else LITTLE
     if then > (1 - least) * first:
         return False
-    ratio = (first - then) / LAGS / (max(then, 1e-15 * first) / freedom)
-    return bool(scipy.stats.f.sf(ratio, LAGS, freedom) < CHANCE)
+    return chance_of(first, then, freedom) < CHANCE
 
 
 def with_noise(record: Record, found: Identified) -> Identified:
@@ -560,26 +560,52 @@ def with_noise(record: Record, found: Identified) -> Identified:
 
     So nothing of the past of the noise is left that the input of a closed loop could tell, and the
     fit is not biased where plant and noise have such a form (Ljung 1999, section 13.4); e is then
-    white. Of the result `white` and the intervals are those of e, the rest is that of y - P u.
+    white, and the past of the input does not tell it, as it tells what a plant misses: `white` says
+    whether both hold. Of the result it and the intervals are those of e, the rest is that of
+    y - P u. A fit whose residual needs no such noise is returned.
 
     record: one input, one output;  found: the fit to it
     """
     record, n = checked_record(record), found.samples
     left, bias = record.y - found.simulated, found.parameters["bias"].value
+    a, std = whitening_of(left[:n, 0]), found.residual_std / np.linalg.norm(left[:n])
+    if found.white and len(a) == 1:
+        return found
     for _ in range(ROUNDS):
-        a = np.append(1.0, -of_least_bic(autoregression(left[:n, 0])[1], n))
-        u, y = (scipy.signal.lfilter(a, 1.0, one, axis=0) for one in (record.u, record.y - bias))
-        found = identify(record._replace(u=u, y=y), found.plant, from_rest=found.from_rest)
+        late = 0 if found.from_rest else len(a) - 1  # rows before it have an unknown past
+        of_both = (record.u, record.y - bias)
+        u, y = (scipy.signal.lfilter(a, 1.0, one, axis=0)[late:] for one in of_both)
+        share = (n - late) / len(y)
+        again = record._replace(u=u, y=y)
+        found = identify(again, found.plant, fit_share=share, from_rest=found.from_rest)
         own = Estimate(*(bias + of / np.sum(a) for of in found.parameters["bias"]))
         simulated, bias = validated(record, found.plant).simulated, own.value
         left = record.y - simulated
+        a = whitening_of(left[:n, 0])
+    e = (y - found.simulated)[LAGS : n - late, 0]
+    past = np.lib.stride_tricks.sliding_window_view(u[: n - late - 1, 0], LAGS)
+    _, R = np.linalg.qr(np.column_stack([np.ones(len(e)), past, e]))
+    missed = chance_of(np.sum(R[1:, -1] ** 2), R[-1, -1] ** 2, len(e) - 1 - LAGS) < MISSED
     return found._replace(
         parameters=found.parameters | {"bias": own},
+        samples=n,
         simulated=simulated,
         fit=fit_of(record.y[:n], left[:n]),
         validation_fit=fit_of(record.y[n:], left[n:]),
-        residual_std=np.std(left[:n], axis=0),
+        residual_std=std * np.linalg.norm(left[:n]),
+        white=found.white and not missed,
     )
+
+
+def whitening_of(residual) -> np.ndarray:
+    """The numbers 1, -a_1, -a_2, ... of the autoregression of least BIC; of white noise only 1."""
+    return np.append(1.0, -of_least_bic(autoregression(residual)[1], len(residual)))
+
+
+def chance_of(first: float, then: float, freedom: int) -> float:
+    """The chance that LAGS numbers which tell nothing leave as little of a sum of squares."""
+    ratio = (first - then) / LAGS / (max(then, 1e-15 * first) / freedom)
+    return float(scipy.stats.f.sf(ratio, LAGS, freedom))
 
 
 def of_reference(record: Record, reference) -> Record:

@@ -178,15 +178,12 @@ def _of_loop(path: Path, asked: Reading, fitted: Fitted) -> tuple[Fitted, list[s
         reference = asked._replace(input=REFERENCE).of_record(path).record.u
     if reference is None and not feedback_seen(record, y - found.simulated, late=1):
         return fitted, [WITHIN_A_SAMPLE]
-    from_reference = None if reference is None else of_reference(record, reference)
-    if found.white:
-        return fitted, [OF_WHITE]
     again = with_noise(record, found)
     if again.white:
-        return fitted._replace(found=again), [OF_NOISE]
-    if from_reference is None:
+        return fitted._replace(found=again), [OF_WHITE if again is found else OF_NOISE]
+    if reference is None:
         return fitted, [UNKNOWN_REFERENCE]
-    found = identification.identify(from_reference, found.plant)
+    found = identification.identify(of_reference(record, reference), found.plant)
     return fitted._replace(found=found), [OF_REFERENCE]
 
 
