@@ -79,7 +79,7 @@ def test_the_noise_of_a_record_cut_out_of_a_motion_is_modelled_without_its_unkno
 
 
 def test_what_a_plant_misses_is_not_taken_for_its_noise():
-    """The residual of plant and noise alone was white in 120 of 120 records with a missed pole."""
+    """What is left by plant and noise is white here, but the past of the input still tells it."""
     for seed in range(3):
         _, u, y = played(seed, 2.0, 0.9, other=6.0)
         record = Record(u[:-1, None], y[:, None], DT)
