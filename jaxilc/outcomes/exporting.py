@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 NUMBERS = ("double", "float")
 TESTED = 4  # trials of the test program, the last one with an output that is not a number
 APART = 0.1  # share of the largest input by which single precision may change one
+PLAYED = 1000  # samples of the trials in which that is seen, of which there are two at least
 
 
 def export(
@@ -189,9 +190,9 @@ def need_single(law: Law, name: str) -> None:
 
     It has the roundings that it allows for from double precision, in which it was traced.
     """
-    first, *_ = trials_of_test(law)  # of which it learns what it plays next
+    trials = trials_of_test(law)[: max(2, PLAYED // law.task.N)]
     u, other = (
-        np.array([played.trial(y)[0] for y in (first, first)])
+        np.array([played.trial(y)[0] for y in trials])
         for played in (law.played(np.float64), law.played(np.float32))
     )
     off, largest = np.max(np.abs(other - u)), np.max(np.abs(u))
