@@ -186,7 +186,7 @@ def _positive(limit: Value, number: str) -> bool:
 
 
 def need_single(law: Law, name: str) -> None:
-    """Raises ValueError for a law that plays other inputs where its numbers are `float`.
+    """Raises ValueError for a law that plays other inputs in the first trials as `float`.
 
     It has the roundings that it allows for from double precision, in which it was traced.
     """

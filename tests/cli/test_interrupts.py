@@ -21,7 +21,10 @@ def interrupt():
 class Imported:
     def find_spec(self, name, *_):
         if name == "jaxilc.cli.entry":
-            interrupt()
+            try:
+                interrupt()
+            except KeyboardInterrupt:
+                print("half of a module, as NumPy is", file=sys.stderr)
 class Unseen:
     def __del__(self):
         interrupt()
