@@ -249,6 +249,9 @@ class Text(Lines):
             for i in (0, 1):
                 if node.args[i].name == "mul":
                     return self._fused(node, i, args[1 - i])
+        if node.name == "max" and "abs" in (sizes := [x.name for x in node.args]):
+            first = sizes[0] == "abs"
+            return self._larger(kind, args[first], args[not first])
         text = instruction(node.name, node.args[0].dtype.kind)
         assert text is not None, node.name
         of = self.type_of(node.args[0].dtype)
@@ -275,6 +278,18 @@ class Text(Lines):
             a = self.add(f"fneg {kind} {a}")
         name = f"@llvm.fmuladd.{self._suffix(node.dtype)}"
         return self._called(name, kind, [kind] * 3, [a, b, other])
+
+    def _larger(self, kind: str, x: str, size: str) -> str:
+        """The maximum of a number and the size of another one, NaN if one of them is.
+
+        A processor has an instruction for the inner choice, and no zero of a size has a sign.
+        """
+        bits = f"<{self.lanes} x i1>"
+        above, none = (
+            self.add(f"fcmp {of} {kind} {x}, {y}") for of, y in (("ogt", size), ("uno", x))
+        )
+        larger = self.add(f"select {bits} {above}, {kind} {x}, {kind} {size}")
+        return self.add(f"select {bits} {none}, {kind} {x}, {kind} {larger}")
 
     def _called(self, name: str, kind: str, types: list[str], args: list[str]) -> str:
         self.declared.add(f"declare {kind} {name}({', '.join(types)})")
@@ -585,8 +600,8 @@ class Text(Lines):
     def _loop(self, loop: Loop) -> None:
         for scan in loop.scans:
             for i, cells in enumerate(scan.cells):
-                begin = scan.begin(i).flat
-                for cell, value in zip(cells.flat, self.values(begin), strict=True):
+                values = self.values(scan.begin(i).flat) if cells.size else []
+                for cell, value in zip(cells.flat, values, strict=True):
                     self._put(cell, value)
         for segment in loop.segments:
             self._segment(segment, loop.direction)

@@ -304,6 +304,18 @@ class Numbers:
             return one
         return None
 
+    def again(self, like: Node, args: Sequence[Node]) -> Node:
+        """The node of the same operation on other operands.
+
+        A sum of a product and 0 stays one: it is rounded once, and is no product of another sum.
+        """
+        if isinstance(like.what, AtIndex):
+            return self.row(args[0], like.dtype, like.what)
+        found = self.of(like.name, *args, dtype=like.dtype)
+        if like.name in ("add", "sub") and found.name == "mul" and found in args:
+            return self._node(like.name, (*args,), like.dtype, None, None)
+        return found
+
     def known(
         self, like: Node, args: Iterable[Node], what: Number | Place | int | None
     ) -> Node | None:

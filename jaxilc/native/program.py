@@ -31,6 +31,8 @@ SAME = {"by_sample", "stop_gradient", "copy", "copy_p", "optimization_barrier", 
 OBJECT = "call_hi_primitive"
 UNROLLED = 64  # passes of a loop within a sample, up to which they are written one after another
 MOST = 16  # rows of a matrix that is solved in single steps, and whole numbers that are sorted
+CHEAP = {"add", "sub", "neg", "slice", "broadcast_in_dim", "squeeze", "reshape"}
+CHEAP |= {"convert_element_type"}
 
 
 class Unknown(NotImplementedError):
@@ -713,11 +715,74 @@ def of_trials(
         of = {"length": params["length"], "reverse": params["reverse"]}
         of |= _counts(params) | {"body": _of_trial(params["jaxpr"])}
         ahead, loop = computed_ahead(Step("scan", of, whole.ins, whole.outs), foreign)
-        found.append(([*before, *ahead], loop))
+        before = [*before, *ahead]
+        found.append((before, sunk(before, loop)))
         before = shaped
     if not found:
         raise Unknown("there is no loop over samples in a loop over trials")
     return read_alone(found, before, program.outs), before
+
+
+def sunk(before: Sequence[Step], loop: Step) -> Step:
+    """A loop over trials that takes parts, sums and copies of what it reads itself.
+
+    JAX takes them before the loop. Within it they cost less than to read them, and what a law and
+    the learning from a trial make of the same samples is computed once.
+
+    before: the steps before it
+    """
+    params, body = loop.params, loop.params["body"]
+    count = params["consts"]
+    made = {x: step for step in before for x in step.outs}
+    ins, inner = [*loop.ins[:count]], [*body.ins[:count]]
+    steps, same = list[Step](), dict[Value, Value]()
+
+    def within(x: Value) -> Value:
+        """What stands for a value within the loop."""
+        if isinstance(x, Const) and math.prod(x.shape) <= MOST:
+            return x
+        for outer, found in zip(ins, inner, strict=True):
+            if outer is x or (isinstance(x, Const) and isinstance(outer, Const)
+                              and _key(x.array) == _key(outer.array)):  # fmt: skip
+                return found
+        ins.append(x)
+        inner.append(Value(x.shape, x.dtype))
+        return inner[-1]
+
+    while step := next((made[x] for x in ins if x in made and _cheap(made[x])), None):
+        outs = list[Value]()
+        for x in step.outs:
+            places = [i for i, outer in enumerate(ins) if outer is x]
+            outs.append(inner[places[0]] if places else Value(x.shape, x.dtype))
+            same |= {inner[i]: outs[-1] for i in places}
+            for i in reversed(places):
+                del ins[i], inner[i]
+        now = Step(step.name, step.params, [*map(within, step.ins)], outs, step.primitive)
+        if step.name == "scan":
+            now.params, now.primitive = _written(step.params), None
+        steps.insert(0, now)
+    rest = [Step(x.name, x.params, [same.get(y, y) for y in x.ins], x.outs, x.primitive)
+            for x in body.steps]  # fmt: skip
+    of = Program([*inner, *body.ins[count:]], [*steps, *rest],
+                 [same.get(x, x) for x in body.outs])  # fmt: skip
+    return Step("scan", params | {"body": of, "consts": len(ins)},
+                [*ins, *loop.ins[count:]], loop.outs)  # fmt: skip
+
+
+def _cheap(step: Step) -> bool:
+    """Whether a loop takes no longer to compute what a step does than to read it."""
+    if min(math.prod(x.shape) for x in step.outs) <= MOST:
+        return False
+    if step.name == "scan":
+        of = _written(step.params)
+        return not of["carry"] and all(x.name in CHEAP for x in of["body"].steps)
+    return step.name in CHEAP
+
+
+def _written(params: Parameters) -> Parameters:
+    """The parameters of a lowered scan, from those of one of JAX."""
+    of = {key: params[key] for key in ("length", "reverse")}
+    return of | _counts(params) | {"body": lowered(params["jaxpr"])}
 
 
 def read_alone(parts: Parts, rest: list[Step], outs: Sequence[Value]) -> Parts:
@@ -728,6 +793,7 @@ def read_alone(parts: Parts, rest: list[Step], outs: Sequence[Value]) -> Parts:
     read_later, found = {*outs, *(x for step in rest for x in step.ins)}, []
     for steps, loop in reversed(parts):
         loop = without_dead_of_loop(loop, [x in read_later for x in loop.outs])
+        steps = without_dead(Program([], steps, [*read_later, *loop.ins])).steps
         read_later |= {x for step in (*steps, loop) for x in step.ins}
         found.append((steps, loop))
     return found[::-1]

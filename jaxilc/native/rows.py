@@ -174,7 +174,8 @@ class Scan:
     loop: the number of the loop that it belongs to
     offset: the sample of it that is computed at sample k of the loop is k + offset
     operands: what it reads: small arrays, and rows
-    cells: arrays of the nodes that are carried from sample to sample
+    cells: arrays of the nodes that are carried from sample to sample; without elements where no
+        sample changes them
     """
 
     def __init__(self, step: Step, operands: list[Item], loop: int):
@@ -192,12 +193,16 @@ class Scan:
     def carried(self, row: Result) -> int | None:
         """Which of the carried numbers a result is, too; None if it is none of them."""
         outs = self.body.outs
-        same = (i for i in range(self.carry) if outs[i] is outs[row.number])
+        same = (i for i in range(self.carry) if outs[i] is outs[row.number] and self.cells[i].size)
         return next(same, None)
 
     def begin(self, i: int) -> Array:
         """What it carries into its first sample."""
         return small(self.operands[self.consts + i])
+
+    def unchanged(self, i: int) -> bool:
+        """Whether each sample carries on what it was given."""
+        return self.body.outs[i] is self.body.ins[self.consts + i]
 
 
 class Sink:
@@ -490,9 +495,10 @@ class Trials:
             self.loop(number).direction = direction
         scan = Scan(step, operands, number)
         self.loop(number).scans.append(scan)
-        for out in step.outs[:carry]:
-            scan.cells.append(self.new_cells(out.shape, out.dtype, loop=number + 1))
-            self._known[out] = scan.cells[-1]
+        for i, out in enumerate(step.outs[:carry]):
+            shape = (0,) if scan.unchanged(i) else out.shape
+            scan.cells.append(self.new_cells(shape, out.dtype, loop=number + 1))
+            self._known[out] = scan.begin(i) if scan.unchanged(i) else scan.cells[-1]
         for i, out in enumerate(step.outs[carry:]):
             scan.results.append(Result(out.shape, out.dtype, scan, carry + i))
             self._known[out] = scan.results[-1]
@@ -939,7 +945,7 @@ class _Build:
             if at.active(scan):
                 outs = at.run(scan)
                 for old, new in zip(scan.cells, outs, strict=False):
-                    cells += zip(old.flat, new.flat, strict=True)
+                    cells += zip(old.flat, new.flat, strict=False)
         for sink in self.loop.sinks:
             if at.active(sink):
                 stores.append((sink.buffer, sink.offset, at.row(sink.rows[0], 1, sink.offset)))
@@ -1076,7 +1082,9 @@ class _At(_Rows):
             if i < scan.consts:
                 known[x] = operand
             elif i < scan.consts + scan.carry:
-                known[x] = _inside_loop(self.n, scan.cells[i - scan.consts])
+                number = i - scan.consts
+                known[x] = (scan.begin(number) if scan.unchanged(number)
+                            else _inside_loop(self.n, scan.cells[number]))  # fmt: skip
             else:
                 known[x] = self.row(rows_of(operand), 1, scan.offset).reshape(x.shape)
 
@@ -1226,30 +1234,53 @@ def without_choices(of: Trials, segment: Segment) -> tuple[list[Node], Segment]:
     """The conditions of choices that are the same at each sample, and the segment without them.
 
     Where no machine of a group meets any of them, as none has passed a level yet, the rest computes
-    the same with fewer operations. Only numbers that are read are put in the place of a choice: a
-    product would become a part of a sum that is rounded once, and a machine would have other
-    digits beside some machines than beside others.
+    the same with fewer operations. A choice is one of two numbers, of which the other is only read:
+    a product would become a part of a sum that is rounded once, and a machine would have other
+    digits beside some machines than beside others. Or it is one of constants, times a number that
+    is mostly zero: the slope of a largest error, of which nothing depends while none is too large.
     """
     n, conditions = of.n, dict[Node, None]()
-    new: dict[Node, Node] = {}
 
-    def put(node: Node) -> Node:
-        args = [new[x] for x in node.args]
+    def put(node: Node, args: list[Node]) -> Node | None:
         if node.name == "select" and not node.args[0].varies and isinstance(args[1].what, At):
             conditions[node.args[0]] = None
             return args[1]
-        if all(map(operator.is_, args, node.args)):
-            return node
-        if isinstance(node.what, AtIndex):
-            return n.row(args[0], node.dtype, node.what)
-        return n.of(node.name, *args, dtype=node.dtype)
+        for choice, share in (node.args, node.args[::-1]) if node.name == "mul" else ():
+            if not share.varies and choice.varies and _of_constants(choice):
+                nothing = n.const(0, node.dtype)
+                conditions[n.of("ne", share, nothing)] = None
+                return nothing
+        return None
 
     if segment.last - segment.first < FEW_SAMPLES:
         return [], segment
+    rest = _rewritten(of, segment, put)
+    return [*conditions], rest
+
+
+def _of_constants(node: Node) -> bool:
+    """Whether a node is a choice among finite numbers that are known beforehand."""
+    if node.name == "const":
+        return node.dtype.kind == "f" and bool(np.isfinite(node.value))
+    return node.name == "select" and all(map(_of_constants, node.args[1:]))
+
+
+def _rewritten(of: Trials, segment: Segment,
+               put: Callable[[Node, list[Node]], Node | None]) -> Segment:  # fmt: skip
+    """The segment with other nodes in the place of some.
+
+    put: what stands for a node, whose operands are given as they are now; None for the same
+        operation on these
+    """
+    n, new = of.n, dict[Node, Node]()
     for node in in_turn(segment.wanted):
-        new[node] = put(node)
+        args = [new[x] for x in node.args]
+        found = put(node, args)
+        if found is None and not all(map(operator.is_, args, node.args)):
+            found = n.again(node, args)
+        new[node] = found or node
     putting = partial(n.each, new.__getitem__)
-    return [*conditions], segment._replace(
+    return segment._replace(
         stores=[(buffer, offset, putting(x)) for buffer, offset, x in segment.stores],
         results=[(result, offset, putting(x)) for result, offset, x in segment.results],
         cells=[(cell, new[x]) for cell, x in segment.cells],

@@ -62,10 +62,11 @@ AT_ONCE = 2**27  # bytes of operands that are in the RAM at once
 # trials of FFDL-MFAILC took half again as long, most of it to get pages from the system.
 HELD_AT_ONCE = 2**24
 # Operations of a trial for each number that it stores for the way back, up to which it takes less
-# time to compute trials again than to wait for the RAM. MFAILC has 10, laws with filters 190 and
-# more, which took 1.1 to 1.3 times as long; value and slopes of FFDL took 0.9 of the time on one
-# core and 0.7 to 0.8 on two.
-FEW_OPERATIONS = 32
+# time to compute trials again than to wait for the RAM, on a processor with registers of 64 bytes;
+# with shorter ones, which hold fewer machines, as many fewer. MFAILC has 15, laws with filters 190
+# and more, which took 1.1 to 1.3 times as long. With AVX-512, value and slopes of FFDL took 0.9 of
+# the time on one core and 0.7 to 0.8 on two, with AVX2 1.1 of it on one and as long on two.
+FEW_OPERATIONS = 24
 # of the largest number of a machine, by which the check may find a difference, by bytes of a number
 TOLERANCE = {8: 1e-9, 4: 1e-4}
 
@@ -187,7 +188,8 @@ class Compiled(Generic[Common, One, Found]):
         numbers = (stored - read) / trials / real().itemsize
         large = cache is not None and self.lanes * stored > 2 * cache
         block = self.lanes * stored * Blocks.of(trials).each / trials
-        return large and 2 * block <= cache and there.operations <= FEW_OPERATIONS * numbers
+        few = FEW_OPERATIONS * self.lanes * real().itemsize / 64 * numbers
+        return large and 2 * block <= cache and there.operations <= few
 
     @property
     def _held(self) -> int:

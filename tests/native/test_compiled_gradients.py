@@ -239,6 +239,56 @@ def test_what_is_carried_a_sample_late_becomes_rows_where_it_is_stored(blocks):
     assert differs(program(memory, gains), wanted) is None
 
 
+def test_a_loop_takes_parts_and_sums_of_rows_that_it_reads_itself():
+    """Those of a law at sample k and of the learning from it at k + 1 are the same numbers."""
+
+    def slope(common, gain):
+        rows, level = common
+
+        def loss(gain):
+            def sample(x, now):
+                v, r = now
+                return (y := 0.9 * x + gain * jnp.clip(v, r - level, r + level)), y
+
+            def trial(u, _):
+                y = lax.scan(sample, 0.0, (u, rows[:-1]))[1]
+                seen = jnp.clip(y, rows[1:] - level, rows[1:] + level)
+                return u - 0.3 * seen + jnp.broadcast_to(level, 40), jnp.sum(seen)
+
+            return jnp.sum(lax.scan(trial, jnp.ones(40), jnp.arange(4.0))[1])
+
+        return jax.value_and_grad(loss)(gain)
+
+    common, gains = (np.sin(np.arange(41.0)), 0.4), np.linspace(0.3, 1.7, 7)
+    program = Compiled(slope, common, 1.0, lanes=2)
+    wanted = jax.vmap(slope, (None, 0))(common, gains)
+    assert differs(program(common, gains), wanted) is None
+    _, there = program._parts[0]
+    known = there.ins[: there.params["consts"]]
+    assert [x.shape for x in known if x.shape != ()] == [(41,)]
+
+
+def test_a_gradient_computes_no_number_of_a_trial_that_nobody_reads():
+    machine, scheme, task = case("p_type")
+
+    def slope(machine, gain):
+        def loss(gain):
+            moved = dataclasses.replace(scheme, gamma_p=gain)
+            return judge(machine, moved, task, 4, Final("rms"))
+
+        return jax.grad(loss)(gain)
+
+    program = Compiled(slope, machine, 1.0)
+    read = {*program._program.outs}
+    read |= {x for step in program._after for x in step.ins}
+    for before, loop in reversed(program._parts):
+        assert read.issuperset(loop.outs[loop.params["carry"] :])
+        read.update(loop.ins)
+        for step in reversed(before):
+            assert not read.isdisjoint(step.outs)
+            read.update(step.ins)
+
+
 def test_a_product_less_itself_is_zero():
     """Else the slopes of a choice between it and 0 are those of another choice."""
 

@@ -15,7 +15,9 @@ X, Y = (a.ravel() for a in np.meshgrid(EDGES, EDGES))
 SOME, OTHER = (np.resize(a.ravel(), len(X)) for a in np.meshgrid(WHOLE, WHOLE))
 OF_TWO = {
     "add": jnp.add, "sub": jnp.subtract, "mul": jnp.multiply, "div": jnp.divide,
-    "max": jnp.maximum, "min": jnp.minimum, "eq": jnp.equal, "ne": jnp.not_equal,
+    "max": jnp.maximum, "min": jnp.minimum, "largest": lambda x, y: jnp.maximum(x, jnp.abs(y)),
+    "largest so far": lambda x, y: jnp.maximum(jnp.abs(x), jnp.abs(y)),
+    "eq": jnp.equal, "ne": jnp.not_equal,
     "lt_to": jax.lax.lt_to_p.bind, "le_to": jax.lax.le_to_p.bind,
     "lt": jnp.less, "le": jnp.less_equal, "gt": jnp.greater, "ge": jnp.greater_equal,
     "pow": jnp.power,
