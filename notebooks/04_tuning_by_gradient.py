@@ -119,8 +119,9 @@ bottom.figure
 # %% [markdown]
 # ## On machines that the tuning has not seen
 #
-# `compare` is a sweep of the given and the tuned scheme over fresh machines. Here it runs twice as
-# many trials as the tuning, since a tuning over 12 trials does not see the thirteenth.
+# `compare` is a sweep of the given and the tuned scheme over the nominal machine and fresh ones.
+# Here it runs twice as many trials as the tuning, since a tuning over 12 trials does not see the
+# thirteenth.
 
 # %%
 dataset = problem.compare(tuned, trials=24, machines=65)

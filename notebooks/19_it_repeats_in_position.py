@@ -95,8 +95,8 @@ at = np.linspace(0, 48, 400)
 fig, ax = plt.subplots()
 ax.plot(at, -COGGING.at(at), label="what the machine lacks")
 ax.plot(at, by_place.at(at), "--", label="learned")
-ax.set(xlabel="position [mm]", ylabel="added to the input [mm]")
-ax.legend()
+ax.set(xlabel="position [mm]", ylabel="added to the input [mm]", ylim=(None, 0.4))
+ax.legend(loc="upper center", ncols=2)
 plt.show()
 assert np.max(np.abs(by_place.at(at) + COGGING.at(at))) < 0.05
 

@@ -100,8 +100,9 @@ def shades_of(trials: Sequence[int]) -> list[str]:
 
 
 def labelled(name: str, unit: str) -> str:
-    """A label such as `settled error [µm]`."""
-    return name.replace("_", " ") + (f" [{unit}]" if unit else "")
+    """A label such as `settled error [µm]`; a path such as `ilc.gamma_p` stays as it is typed."""
+    words = (word if "." in word else word.replace("_", " ") for word in name.split(" "))
+    return " ".join(words) + (f" [{unit}]" if unit else "")
 
 
 def readable(colour: ColorType, ground: ColorType = "white", least: float = 4.5) -> str:

@@ -281,7 +281,7 @@ def _beside(p: Published, scenario: Scenario, shown: dict[str, xr.DataArray]) ->
 def run_table(scenario: Scenario, numbers: Numbers) -> Table:
     """The metric that judges by trial and scheme, with published values in brackets."""
     metric, (_, unit) = scenario.judged_by, scenario.shown(scenario.judged_by)
-    rows_by_trial, printed = [], ""
+    lines, printed = [], ""
     for j in shown_trials(scenario):
         cells = []
         for rows in numbers["schemes"].values():
@@ -290,11 +290,9 @@ def run_table(scenario: Scenario, numbers: Numbers) -> Table:
             ]
             printed = ", published value in brackets" if values else printed
             cells.append(number(rows[metric][str(j)]) + "".join(f" ({v:g})" for v in values))
-        rows_by_trial.append((str(j), *cells))
+        lines.append((str(j), *cells))
     what = f"{labelled(metric, unit)} by trial{printed}"
-    return Table(
-        right=("trial", *scenario.schemes), title=f"{scenario.title}\n{what}", rows=rows_by_trial
-    )
+    return Table(right=("trial", *scenario.schemes), title=f"{scenario.title}\n{what}", rows=lines)
 
 
 def other_rows(scenario: Scenario, numbers: Numbers) -> list[str]:
@@ -305,7 +303,7 @@ def other_rows(scenario: Scenario, numbers: Numbers) -> list[str]:
         for p in rows["published"]:
             if p["ours"] is not None and (p["quantity"], p["trial"]) not in in_table:
                 at = f" at trial {p['trial']}" if p["trial"] else ""
-                ours = f"{p['quantity'].replace('_', ' ')}{at} {number(p['ours'])} {p['unit']}"
+                ours = f"{p['quantity'].replace('_', ' ')}{at} is {number(p['ours'])} {p['unit']}"
                 lines.append(f"{name}: {ours} (published {p['value']:g})")
     return lines
 

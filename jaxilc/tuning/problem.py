@@ -389,7 +389,7 @@ class Tuning:
     ) -> xr.Dataset:
         """The dataset of a sweep of the scheme as given and as tuned, for `summarise`.
 
-        Its machines were not used in the tuning, nor to select the iterate.
+        Its machines but the nominal one were not used in the tuning, nor to select the iterate.
 
         trials: number of trials, None for that of the tuning
         machines: number of machines; machine 0 is the nominal one

@@ -105,9 +105,9 @@ def test_an_axis_of_several_schemes_has_the_name_and_the_values_of_each():
     errors = [[9, 4], [9, 1], [5, 9]]
     dataset = xr.concat([dataset_of(errors, ["p", "q"])] * 2, "scheme")
     dataset = dataset.assign_coords(scheme=["law", "other"], a=[1.0, 2.0, 3.0])
-    dataset = dataset.rename(a="law.a").assign_coords({"other.a": ("law.a", [10.0, 20.0, 30.0])})
+    dataset = dataset.rename(a="law.g_p").assign_coords({"other.a": ("law.g_p", [9.0, 20.0, 30.0])})
     panels = figures.grid_map(dataset, metric="rms")
-    assert [ax.get_xlabel() for ax in panels] == ["law.a", "other.a"]
+    assert [ax.get_xlabel() for ax in panels] == ["law.g_p", "other.a"]
     assert [ax.lines[0].get_xdata()[0] for ax in panels] == [2.0, 20.0]
 
 
