@@ -118,7 +118,7 @@ def _concluded(one: Judged, *, asked: bool = True) -> str:
         described(side) if isinstance(side, Published) else "it" for side in one.conclusion.sides
     )
     verdict = "holds" if one.holds else "does not hold"
-    ours = f"ours {', '.join(map(number, one.ours))} {one.unit}".rstrip()
+    ours = f"asked of ours: {sign.join(map(number, one.ours))} {one.unit}".rstrip()
     place = f", {one.conclusion.source}" * asked
     said = f"{verdict}: {one.scenario}{place}: {one.conclusion.says}; {ours}"
     return f"{said} ({sides})" if asked else said
