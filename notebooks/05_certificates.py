@@ -148,7 +148,7 @@ axes[0].figure
 
 # %% [markdown]
 # For the linear law the prediction is exact. The adaptive law moves its estimates, so nothing is
-# claimed of it. Here its error starts to grow about thirty trials earlier than that of the frozen
+# claimed of it. Here its error starts to grow 33 to 42 trials earlier than that of the frozen
 # law. (At the paper's own 0.5 Hz the two differ by three trials of eighty.)
 
 # %% [markdown]
