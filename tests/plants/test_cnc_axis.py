@@ -120,14 +120,6 @@ def test_the_switchable_filter_of_the_scenario(s):
         assert found.cutoff[np.searchsorted(found.times, sharp * s.task.dt)] == 50.0
 
 
-@pytest.mark.parametrize(
-    ("option", "value"), [("setting", "dream"), ("axes", "z"), ("plant", "rounded")]
-)
-def test_options_are_refused(option, value):
-    with pytest.raises(ValueError, match=f"{value}.* is not one of"):
-        scenarios.load("li-2020", **{option: value})
-
-
 @pytest.mark.thorough
 def test_the_limit_of_a_law_that_sees_some_outputs_holds_behind_a_filter():
     plant = PLANTS["motor_and_table"]

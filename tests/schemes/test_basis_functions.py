@@ -10,6 +10,7 @@ import pytest
 from cases import ALGEBRA, DT, MODEL, SCHEMES, case
 from dense import lifted
 from numpy.polynomial import Polynomial
+from refusals import refused
 
 from jaxilc import Machine, Task, learn
 from jaxilc.plants import DifferenceEquation, Splines, StateSpace
@@ -336,44 +337,31 @@ def test_a_sparse_basis_keeps_what_the_trials_have_in_common():
     assert found.errors[found.chosen] <= found.errors.min() + found.doubt[np.argmin(found.errors)]
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"trials": []}, "allowed are two or more"),
-        ({"trials": [(np.zeros(5), np.zeros(5))] * 2}, "do not fit"),
-        ({"trials": [(np.arange(6.0), np.zeros(5))] * 2}, "the inputs are zero"),
-        ({"trials": [(np.arange(6.0), np.full(5, np.nan))] * 2}, "not finite"),
-        ({"penalties": [0.1, 0.2]}, "falling"),
-        ({"basis": RationalBasis(PolynomialBasis())}, "not linear"),
-    ],
+SELECTED = {"basis": PolynomialBasis((1, 2)), "trials": [(np.arange(6.0) ** 2, np.ones(5))] * 3}
+NOT_SELECTED = {
+    "allowed are two or more": {"trials": []},
+    "do not fit": {"trials": [(np.zeros(5), np.zeros(5))] * 2},
+    "the inputs are zero": {"trials": [(np.arange(6.0), np.zeros(5))] * 2},
+    "not finite": {"trials": [(np.arange(6.0), np.full(5, np.nan))] * 2},
+    "falling": {"penalties": [0.1, 0.2]},
+    "not linear": {"basis": RationalBasis(PolynomialBasis())},
+}
+test_a_selection_that_cannot_be_is_refused = refused(
+    NOT_SELECTED, lambda given: select_basis(**SELECTED | given, dt=DT)
 )
-def test_a_selection_that_cannot_be_is_refused(given, said):
-    basis = PolynomialBasis((1, 2))
-    trials = [(np.arange(6.0) ** 2, np.ones(5))] * 3
-    with pytest.raises(ValueError, match=said):
-        select_basis(**({"basis": basis, "trials": trials, "dt": DT} | given))
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: PolynomialBasis((1, 5)), "allowed are different ones of 0"),
-        (lambda: PolynomialBasis(()), "leaves no function"),
-        (lambda: SelectedBasis(PolynomialBasis((1,)), (1,)).check(moved(9)), "of the 1 functions"),
-        (lambda: GivenBasis(np.ones((4, 2))).check(moved(9)), r"needs \(9, 1, m\)"),
-        (
-            lambda: BasisFunctions(PolynomialBasis((1,)), MODEL, start=(1, 2)).check(moved(9)),
-            "for velocity",
-        ),
-        (
-            lambda: WarmStart(PIDType(), PolynomialBasis((1,)), 1.0).check(moved(9)),
-            r"theta has shape \(\)",
-        ),
-    ],
-)
-def test_what_does_not_fit_is_named(make, said):
-    with pytest.raises(ValueError, match=said):
-        make()
+REFUSED = {
+    "allowed are different ones of 0": lambda: PolynomialBasis((1, 5)),
+    "leaves no function": lambda: PolynomialBasis(()),
+    "of the 1 functions": lambda: SelectedBasis(PolynomialBasis((1,)), (1,)).check(moved(9)),
+    r"needs \(9, 1, m\)": lambda: GivenBasis(np.ones((4, 2))).check(moved(9)),
+    "for velocity": lambda: BasisFunctions(PolynomialBasis((1,)), MODEL, start=(1, 2)).check(
+        moved(9)
+    ),
+    r"theta has shape \(\)": lambda: WarmStart(PIDType(), PolynomialBasis((1,)), 1.0).check(
+        moved(9)
+    ),
+}
+test_what_does_not_fit_is_named = refused(REFUSED)
 
 
 @pytree

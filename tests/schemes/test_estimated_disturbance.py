@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from cases import DT, SIGMAS
 from dense import lifted
+from refusals import refused
 
 from jaxilc.learning import Machine, learn
 from jaxilc.learning.over_trials import measured_trial
@@ -146,13 +147,11 @@ def test_its_gain_withstands_absurd_sizes():
         assert np.all(np.isfinite(after.scheme.u))
 
 
-@pytest.mark.parametrize(
-    ("message", "scheme"),
-    [
-        ("scheme is a PIDType", PIDType(gamma_p=1.0)),
-        ("the model has 2 inputs but the task 1", NormOptimal(MODEL, **WEIGHTS)),
-    ],
+REFUSED = {
+    "scheme is a PIDType": PIDType(gamma_p=1.0),
+    "the model has 2 inputs but the task 1": NormOptimal(MODEL, **WEIGHTS),
+}
+test_a_scheme_that_does_not_fit_is_named = refused(
+    REFUSED,
+    lambda scheme: EstimatedDisturbance(scheme, process_std=1.0, measurement_std=1.0).check(SINGLE),
 )
-def test_a_scheme_that_does_not_fit_is_named(message, scheme):
-    with pytest.raises(ValueError, match=message):
-        EstimatedDisturbance(scheme, process_std=1.0, measurement_std=1.0).check(SINGLE)

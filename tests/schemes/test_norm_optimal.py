@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from cases import DT, PLANTS
 from dense import lifted, relative
+from refusals import refused
 
 from jaxilc.learning import Machine, learn
 from jaxilc.plants import StateSpace, TimeVaryingStateSpace
@@ -189,12 +190,9 @@ BAD = {
         "w_r": 1.0,
     },
 }
-
-
-@pytest.mark.parametrize("message", BAD)
-def test_bad_weights_and_models_are_named(message):
-    with pytest.raises(ValueError, match=message):
-        NormOptimal(**{"model": MODEL} | BAD[message])
+test_bad_weights_and_models_are_named = refused(
+    BAD, lambda given: NormOptimal(**{"model": MODEL} | given)
+)
 
 
 @pytest.mark.thorough
@@ -239,13 +237,9 @@ MISFITS = {
         LONG,
     ),
 }
-
-
-@pytest.mark.parametrize("message", MISFITS)
-def test_a_model_that_does_not_fit_the_task_is_refused(message):
-    changes, task = MISFITS[message]
-    with pytest.raises(ValueError, match=message):
-        NormOptimal(**{"model": MODEL, "w_r": 1.0} | changes).check(task)
+test_a_model_that_does_not_fit_the_task_is_refused = refused(
+    MISFITS, lambda given: NormOptimal(**{"model": MODEL, "w_r": 1.0} | given[0]).check(given[1])
+)
 
 
 @pytest.mark.thorough

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
+from refusals import refused
 
 from jaxilc import Machine, Task
 from jaxilc.learning import Actuator, Disturbance, learn, run_trial
@@ -165,23 +166,17 @@ def test_the_map_of_a_period_tells_how_fast_the_error_falls_or_grows():
     assert {*verdicts} == {"holds", "fails"}
 
 
-@pytest.mark.parametrize(
-    ("scheme", "said"),
-    [
-        (PID(kp=0.4), "scheme is a PID; allowed are a RepetitiveBasis of the time"),
-        (RepetitiveBasis(HARMONICS, 0.1, angle=0), "scheme is a RepetitiveBasis of an angle"),
-        (RepetitiveBasis(Harmonics(np.pi * 1e-2, (1,)), 0.1), "the period is 31.4159265 samples"),
-        (RepetitiveBasis(Harmonics(2e-2 + 1e-3 / 65, (1,)), 0.1), "one of which up to 64 make a"),
-        (RepetitiveBasis(Harmonics(3e3, (1,)), 0.1), "take 3,000,000; allowed are 131,072"),
-        (
-            RepetitiveBasis(Splines(0.0, n * DT, 5), 0.1),
-            "functions.closed = False, of splines that end",
-        ),
-    ],
+REFUSED = {
+    "scheme is a PID; allowed are a RepetitiveBasis of the time": PID(kp=0.4),
+    "scheme is a RepetitiveBasis of an angle": RepetitiveBasis(HARMONICS, 0.1, angle=0),
+    "the period is 31.4159265 samples": RepetitiveBasis(Harmonics(np.pi * 1e-2, (1,)), 0.1),
+    "one of which up to 64 make a": RepetitiveBasis(Harmonics(2e-2 + 1e-3 / 65, (1,)), 0.1),
+    "take 3,000,000; allowed are 131,072": RepetitiveBasis(Harmonics(3e3, (1,)), 0.1),
+    "functions.closed = False, of splines that end": RepetitiveBasis(Splines(0.0, n * DT, 5), 0.1),
+}
+test_what_has_no_map_of_a_period_is_refused = refused(
+    REFUSED, lambda scheme: basis_condition(Machine(PLANT), scheme, Task(np.zeros(60), dt=DT))
 )
-def test_what_has_no_map_of_a_period_is_refused(scheme, said):
-    with pytest.raises(ValueError, match=said):
-        basis_condition(Machine(PLANT), scheme, Task(np.zeros(60), dt=DT))
 
 
 def test_splines_that_begin_later_have_the_map_of_a_period_of_those_from_0():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.signal
 from cases import ALGEBRA, ARX, DT, PRINTED, assert_close
+from refusals import refused
 
 from jaxilc.filters import ZeroPhaseButterworth, ZeroPhaseFIR
 from jaxilc.learning import Actuator, Machine, learn, replay, run_trial
@@ -343,12 +344,7 @@ WRONG_ORDERS = {
     r"sum of alpha = 1.1 is outside its allowed range \(0, 1\]": ((0.8, 0.3), (1.0, 1.0)),
     r"sum of alpha = 0 is outside its allowed range \(0, 1\]": ((0.5, -0.5), (1.0, 1.0)),
 }
-
-
-@pytest.mark.parametrize("message", WRONG_ORDERS)
-def test_orders_that_cannot_be_are_named(message):
-    with pytest.raises(ValueError, match=message):
-        HigherOrder(*WRONG_ORDERS[message])
+test_orders_that_cannot_be_are_named = refused(WRONG_ORDERS, lambda given: HigherOrder(*given))
 
 
 @pytest.mark.parametrize("options", P_TYPES.values(), ids=P_TYPES)
