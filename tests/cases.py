@@ -480,22 +480,10 @@ _SCHEME_OF = {
     **dict.fromkeys(("ball_screw", "ball_screw_real"), OnOutputs(PID(kp=6.0, kd=1e-3), (0,))),
 }
 _FEW = {
-    "at_samples",
-    "on_basis",
-    "cross_coupled",
-    "norm_optimal",
-    "norm_optimal_lifted",
-    "constrained",
-    "gradient",
-    "model_free",
-    "estimated_disturbance",
-    "two_step",
-    "dilc",
-    "milc",
-    "ball_screw",
-    "ball_screw_real",
-    "time_varying",
-}
+    "at_samples", "on_basis", "cross_coupled", "norm_optimal", "norm_optimal_lifted", "constrained",
+    "gradient", "model_free", "estimated_disturbance", "two_step", "dilc", "milc", "ball_screw",
+    "ball_screw_real", "time_varying",
+}  # fmt: skip
 CASES = {
     name: (PLANTS[_PLANT_OF.get(name, "voice_coil_printed")], scheme)
     for name, scheme in SCHEMES.items()

@@ -26,61 +26,17 @@ DEEP = []
 for _ in range(2000):
     DEEP = [DEEP]
 HOSTILE = (
-    *(None, True, False, 0, 1, -1, 2, 7, 10**6, 2**31, 2**63, 2**70, -(2**70), 10**23, 10**400),
-    *(0.0, -0.0, 0.5, 1.0, 2.5, -3.5, 1e-300, 1e300, 1e-9, 1e9, np.inf, -np.inf, np.nan),
-    *(
-        "",
-        "x",
-        "nan",
-        "1e6",
-        "(1,2,3)",
-        "none",
-        "machine",
-        "../../etc",
-        "[bold]",
-        ":x:",
-        "\x1b[31m",
-        "\ud800",
-        "a" * 3000,
-        "\x00",
-        "plant",
-    ),
-    *(
-        [],
-        [1],
-        [1, 2],
-        [[1, 2]],
-        [[1], [2, 3]],
-        [np.nan],
-        ["a"],
-        [None],
-        [[]],
-        {},
-        {"a": 1},
-        {"class": "PID"},
-        {"class": 3},
-        (),
-        (1,),
-    ),
-    *(1j, b"bytes", {1, 2}, object(), PID, PID(), DEEP, range(3), lambda: 1),
-    *(
-        np.float32(1),
-        np.float64(np.nan),
-        np.int64(3),
-        np.array([]),
-        np.ones(3),
-        np.ones((2, 2)),
-        np.array(["a"]),
-        np.array([None]),
-    ),
-    *(
-        np.datetime64("2020-01-01"),
-        np.float16(1),
-        np.longdouble(1),
-        np.zeros((0, 3)),
-        np.bool_(True),
-    ),
-)
+    None, True, False, 0, 1, -1, 2, 7, 10**6, 2**31, 2**63, 2**70, -(2**70), 10**23, 10**400,
+    0.0, -0.0, 0.5, 1.0, 2.5, -3.5, 1e-300, 1e300, 1e-9, 1e9, np.inf, -np.inf, np.nan,
+    "", "x", "nan", "1e6", "(1,2,3)", "none", "machine", "../../etc", "[bold]", ":x:", "\x1b[31m",
+    "\ud800", "a" * 3000, "\x00", "plant",
+    [], [1], [1, 2], [[1, 2]], [[1], [2, 3]], [np.nan], ["a"], [None], [[]],
+    {}, {"a": 1}, {"class": "PID"}, {"class": 3}, (), (1,),
+    1j, b"bytes", {1, 2}, object(), PID, PID(), DEEP, range(3), lambda: 1,
+    np.float32(1), np.float64(np.nan), np.int64(3), np.array([]), np.ones(3), np.ones((2, 2)),
+    np.array(["a"]), np.array([None]), np.datetime64("2020-01-01"), np.float16(1), np.longdouble(1),
+    np.zeros((0, 3)), np.bool_(True),
+)  # fmt: skip
 # These values can be written as JSON.
 PLAIN = tuple(
     x for x in HOSTILE if x is None or isinstance(x, bool | int | float | str | list | dict)
@@ -119,33 +75,17 @@ def pick(rng, choices):
 
 KEYS = ("x", "class", "kind", "distribution", "function", "csv", "", "a/b", "\x1b[0m", "machine")
 BYTES = (
-    b"\x00",
-    b"\xff",
-    b"[",
-    b"{" * 50,
-    b'"',
-    b"1e999",
-    b"nan",
-    b"\r",
-    b"\n\n",
-    b",",
-    b";",
+    b"\x00", b"\xff", b"[", b"{" * 50, b'"', b"1e999", b"nan", b"\r", b"\n\n", b",", b";",
     b"\xc3\xa9",
-)
+)  # fmt: skip
 
 
 def places(tree, path=()):
     """Yield every place in nested tables and lists."""
-    inside = (
-        tree.items()
-        if isinstance(tree, dict)
-        else enumerate(tree)
-        if isinstance(tree, list)
-        else ()
-    )
-    for key, value in inside:
-        yield (*path, key)
-        yield from places(value, (*path, key))
+    if isinstance(tree, dict | list):
+        for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree):
+            yield (*path, key)
+            yield from places(value, (*path, key))
 
 
 def damaged(rng, tree):

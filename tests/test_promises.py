@@ -37,21 +37,12 @@ WORD = re.compile(r"\b(never|always|each|all|every)\b", re.IGNORECASE)
 FIRST, REPEATED, DERIVED = KINDS  # what a printed number is
 NUMBER = re.compile(r"(?<![\w.^/(=\[-])\d")
 TEST = re.compile(r"(tests/[\w/]+\.py)::(test_\w+)")
-WORDS = {
-    "three quarters": 0.75,
-    "two": 2,
-    "three": 3,
-    "four": 4,
-    "five": 5,
-    "eight": 8,
-    "ten": 10,
-    "fifteen": 15,
-    "sixteen": 16,
-    "seventeen": 17,
-    "nineteen": 19,
-    "twenty": 20,
-    "hundred": 100,
-}
+TO_TWENTY = re.findall(
+    r"\w+",
+    "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen "
+    "sixteen seventeen eighteen nineteen twenty",
+)
+WORDS = {"three quarters": 0.75, "hundred": 100} | {word: n for n, word in enumerate(TO_TWENTY)}
 
 
 def prose_of(page: str) -> str:
@@ -228,7 +219,7 @@ def more(heading: str, law: str, than: str, column: str = "trial 100") -> float:
 SERVO, RIGHT = "A servo with an uncertain resonance", "A zero in the right half-plane"
 COIL, BALL = "The voice coil of cao-2019", "The ball screw of milc-2024"
 THEORY, DESIGN, BAND = "jaxilc.theory", "jaxilc.design", "jaxilc.hardware.prediction"
-NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
+NUMBERS = {  # by page: a pattern with numbers in brackets, and the constants that they are
     "README.md": {
         r"sweeps over (\d+) uncertain motors": lambda: default("sweep", "machines"),
         r"sets (\d+) independent printed numbers": lambda: len(independent()),
@@ -250,9 +241,9 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"http://127\.0\.0\.1:(\d+)/": lambda: default("explore", "port"),
         r"the band over (\d+) machines": lambda: default("explore", "machines"),
         r"and all (\d+) machines 40 ms": lambda: default("explore", "machines"),
-        r"is followed for up to (\d+) inputs: `certify`": lambda: of(f"{THEORY}.rounding.LARGEST"),
-        r"and what (\d+) simulated runs do": lambda: of(f"{THEORY}.certificates.SEEDS"),
-        r"Up to (\d+) inputs are followed": lambda: of(f"{THEORY}.rounding.LARGEST"),
+        r"is followed for up to (\d+) inputs: `certify`": f"{THEORY}.rounding.LARGEST",
+        r"and what (\d+) simulated runs do": f"{THEORY}.certificates.SEEDS",
+        r"Up to (\d+) inputs are followed": f"{THEORY}.rounding.LARGEST",
         r"on (\d+) random machines under each of (\d+) laws, over (\d+) trials": lambda: (
             of("certificates_under_attack.MACHINES"),
             len(of("certificates_under_attack.laws")(1)),
@@ -261,15 +252,13 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"(\w+) of these laws were written a second time": lambda: len(
             of("certificates_under_attack.matrices")()
         ),
-        r"some (\d+) frequencies, on (\d+) machines of the uncertainty and, up to (\w+) ": lambda: (
-            of(f"{DESIGN}.responses.LINES"),
-            of(f"{DESIGN}.responses.MACHINES"),
-            of(f"{DESIGN}.responses.CORNERS"),
+        r"some (\d+) frequencies, on (\d+) machines of the uncertainty and, up to (\w+) ": (
+            f"{DESIGN}.responses.LINES",
+            f"{DESIGN}.responses.MACHINES",
+            f"{DESIGN}.responses.CORNERS",
         ),
-        r"law the (\d+) with the least predicted": lambda: of(f"{DESIGN}.candidates.SIMULATED"),
-        r"the learning, on (\d+) machines, with a penalty where step 1": lambda: of(
-            f"{DESIGN}.search.TUNED_ON"
-        ),
+        r"law the (\d+) with the least predicted": f"{DESIGN}.candidates.SIMULATED",
+        r"learning, on (\d+) machines, with a penalty where step 1": f"{DESIGN}.search.TUNED_ON",
         r"From the best of them a law of (\d+) and (\d+) taps": lambda: of(f"{DESIGN}.search.TAPS"),
         r"run on (\d+) machines, the nominal .* has seen, for at least (\d+) trials": lambda: (
             default("design", "machines"),
@@ -278,20 +267,18 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"by the error that (\d+) % of them do not exceed": lambda: (
             100 * of("jaxilc.sweeps.summary.QUANTILES")[-1]
         ),
-        r"nominal machine and of the (\w+) that are worst": lambda: of(
-            f"{DESIGN}.judging.ENCLOSED"
-        ),
-        r"nominal machine and the (\w+) that are worst": lambda: of(f"{DESIGN}.judging.ENCLOSED"),
-        r"looked at on (\d+) other mach.* at most (\w+) times, until none of (\d+) ": lambda: (
-            of(f"{DESIGN}.learned.WATCH"),
-            of(f"{DESIGN}.by_response.ROUNDS"),
-            of(f"{DESIGN}.learned.WATCH"),
+        r"nominal machine and of the (\w+) that are worst": f"{DESIGN}.judging.ENCLOSED",
+        r"nominal machine and the (\w+) that are worst": f"{DESIGN}.judging.ENCLOSED",
+        r"looked at on (\d+) other mach.* at most (\w+) times, until none of (\d+) ": (
+            f"{DESIGN}.learned.WATCH",
+            f"{DESIGN}.by_response.ROUNDS",
+            f"{DESIGN}.learned.WATCH",
         ),
         r"least mean log e_J \+ 1/(\d) log": lambda: 1 / of(f"{DESIGN}.learned.RISE"),
-        r"some (\d+) frequencies, on (\d+) machines and, up to (\w+) ": lambda: (
-            of(f"{DESIGN}.learned.CLOSE"),
-            of(f"{DESIGN}.learned.DENSE"),
-            of(f"{DESIGN}.responses.CORNERS"),
+        r"some (\d+) frequencies, on (\d+) machines and, up to (\w+) ": (
+            f"{DESIGN}.learned.CLOSE",
+            f"{DESIGN}.learned.DENSE",
+            f"{DESIGN}.responses.CORNERS",
         ),
         r"on (\d+) machines that they have not seen, over (\d+) trials, with the (\w+) laws": (
             lambda: (
@@ -305,10 +292,10 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
             * len(of("designs_judged.CUTOFFS"))
             * of("designs_judged.LEADS")
         ),
-        r"drawn ones and, up to (\w+) uncertain": lambda: of(f"{THEORY}.frequency.CORNERS"),
-        r"affine in each of up to (\w+) uncertain": lambda: of(f"{THEORY}.frequency.CORNERS"),
-        r"up to (\w+) of its zeros, poles": lambda: of(f"{THEORY}.frequency.MOST_NUMBERS"),
-        r"At the start, (\d+) machines are drawn": lambda: of(f"{BAND}.MACHINES"),
+        r"drawn ones and, up to (\w+) uncertain": f"{THEORY}.frequency.CORNERS",
+        r"affine in each of up to (\w+) uncertain": f"{THEORY}.frequency.CORNERS",
+        r"up to (\w+) of its zeros, poles": f"{THEORY}.frequency.MOST_NUMBERS",
+        r"At the start, (\d+) machines are drawn": f"{BAND}.MACHINES",
         r"band of a trial holds (\d+) % of them": lambda: 100 * (1 - 2 * of(f"{BAND}.OUTSIDE")),
         r"outside its band in one trial of (\w+),": lambda: 0.5 / of(f"{BAND}.OUTSIDE"),
         r"further out than (\d+) % of the drawn": lambda: 100 * (1 - of(f"{BAND}.RARE")),
@@ -318,7 +305,7 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
             of(f"{BAND}.WORK") // (of(f"{BAND}.MACHINES") * 2000),
             2000,
         ),
-        r"more than ([\d,]+) samples together": lambda: of("jaxilc.hardware.campaign.MOST_SAMPLES"),
+        r"more than ([\d,]+) samples together": "jaxilc.hardware.campaign.MOST_SAMPLES",
         r"It is under (\d) MB": lambda: math.ceil(of("jaxilc.figures.report.ROOM") / 1e6),
         r"more than ([\d.]+) times its least": lambda: 1 + of("jaxilc.learning.divergence.GROWTH"),
         r"(\w+) at least\) is more than (\d) % below .* at most (\d) % less": lambda: (
@@ -332,15 +319,13 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
             of("jaxilc.runtime.lanes.LANES")["cpu"] // 2,
             of("jaxilc.runtime.lanes.CACHE")["cpu"] / 2**20,
         ),
-        r"as many machines as (three quarters) of": lambda: of("jaxilc.runtime.lanes.SHARE"),
-        r"At most (\d+) machines make a tile": lambda: of("jaxilc.runtime.lanes.WIDE"),
+        r"as many machines as (three quarters) of": "jaxilc.runtime.lanes.SHARE",
+        r"At most (\d+) machines make a tile": "jaxilc.runtime.lanes.WIDE",
         r"plants, (\d+) trials of (\d+) samples": lambda: (
             of("compare.Programme")((1,)).trials,
             of("compare.Programme")((1,)).samples,
         ),
-        r"`Tuning` goes forward for up to (\w+)\)": lambda: of(
-            "jaxilc.tuning.problem.FORWARD_UP_TO"
-        ),
+        r"`Tuning` goes forward for up to (\w+)\)": "jaxilc.tuning.problem.FORWARD_UP_TO",
         r"for the weights `(\w+)`, `(\w+)`, `(\w+)`, `(\w+)` and `(\w+)`:": lambda: of(
             "gradients.WEIGHTS"
         ),
@@ -359,9 +344,9 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         ).groups(),
     },
     "differing.md": {
-        r"beside it stand (\d+) simulated runs": lambda: of(f"{THEORY}.certificates.SEEDS"),
-        r"learning moves more than (\d+) numbers": lambda: of(f"{THEORY}.learning_map.DENSE"),
-        r"the input has more than (\d+) values": lambda: of(f"{THEORY}.learning_map.DENSE"),
+        r"beside it stand (\d+) simulated runs": f"{THEORY}.certificates.SEEDS",
+        r"learning moves more than (\d+) numbers": f"{THEORY}.learning_map.DENSE",
+        r"the input has more than (\d+) values": f"{THEORY}.learning_map.DENSE",
     },
     "library.md": {
         r"compares (\d+) such derivatives": lambda: math.prod(
@@ -388,7 +373,7 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"(\d+) of them are compared as an order": lambda: len({*concluded()}),
         r"of these (\d+) comparisons": lambda: len(concluded()),
         r"Of (\d+) comparisons": lambda: len(concluded()),
-        r"order within a factor of (\w+)": lambda: of("jaxilc.scenarios.reproduction.SHAPE"),
+        r"order within a factor of (\w+)": "jaxilc.scenarios.reproduction.SHAPE",
         r"(\w+) scenarios have two readings": lambda: sum(
             "reading" in scenarios.options(name) for name in scenarios.SCENARIOS
         ),
@@ -405,13 +390,13 @@ NUMBERS = {  # by page: a pattern with numbers in brackets, and what they are
         r"corner of more than (\d+) degrees": lambda: math.degrees(
             of("jaxilc.signals.tool_path.REVERSAL")
         ),
-        r"path of up to ([\d.]+) s \((\d+) samples at least\)": lambda: (
-            of("jaxilc.learning.quantities.LAG"),
-            of("jaxilc.learning.quantities.LEAST"),
+        r"path of up to ([\d.]+) s \((\d+) samples at least\)": (
+            "jaxilc.learning.quantities.LAG",
+            "jaxilc.learning.quantities.LEAST",
         ),
-        r"In trial (\d+), 95 % of (\d+) machines": lambda: (
-            of("contour_learning.LONG"),
-            of("contour_learning.JUDGED_ON"),
+        r"In trial (\d+), 95 % of (\d+) machines": (
+            "contour_learning.LONG",
+            "contour_learning.JUDGED_ON",
         ),
     },
     "theory.md": {
@@ -463,6 +448,11 @@ def number(text: str) -> float | str:
         return text
 
 
+def several(found) -> tuple | list:
+    """Return what is one or several as several."""
+    return found if isinstance(found, tuple | list) else (found,)
+
+
 @pytest.mark.parametrize(
     ("page", "pattern"), [(page, pattern) for page in NUMBERS for pattern in NUMBERS[page]]
 )
@@ -470,10 +460,9 @@ def test_a_number_is_that_of_the_package(page, pattern):
     text = " ".join(PAGES[page].read_text(encoding="utf-8").split())
     found = re.findall(pattern, text)
     assert len(found) == 1, f"{page} says {pattern!r} {len(found)} times, not once"
-    said = found[0] if isinstance(found[0], tuple) else found
-    computed = NUMBERS[page][pattern]()
-    computed = computed if isinstance(computed, (tuple, list)) else (computed,)
-    for one, value in zip(said, computed, strict=True):
+    named = NUMBERS[page][pattern]
+    computed = named() if callable(named) else [*map(of, several(named))]
+    for one, value in zip(several(found[0]), several(computed), strict=True):
         if isinstance(value, str):
             assert one == value
         elif page == "learned_laws.md":  # ratios of rounded numbers, in digits of their own
