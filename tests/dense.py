@@ -1,4 +1,4 @@
-"""The lifted matrices of linear models, against which recursions are tested."""
+"""Lifted matrices, full searches and differences, against which faster ways are tested."""
 
 import numpy as np
 import scipy.linalg
@@ -26,6 +26,16 @@ def lifted_difference(a, b, N):
     """Return the matrix (N, N) from u to y[1..N], by SciPy's filter of a difference equation."""
     h = scipy.signal.lfilter(b, [1.0, *np.negative(a)], np.eye(N)[0])
     return scipy.linalg.toeplitz(h, np.zeros(N))
+
+
+def distances(points, path):
+    """Return the least distance of each point from the chords, each at three candidates."""
+    a, b = path[:-1], path[1:]
+    away = points[:, None] - a
+    foot = np.sum(away * (b - a), axis=-1) / np.sum((b - a) ** 2, axis=-1)
+    nearest = np.clip(foot, 0, 1)[..., None] * (b - a)
+    ends = (away, points[:, None] - b, away - nearest)
+    return np.min([np.linalg.norm(end, axis=-1) for end in ends], axis=(0, 2))
 
 
 def derivatives(signal, dt):

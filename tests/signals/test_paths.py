@@ -9,12 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import ALGEBRA, DIFFERENCES
-from dense import derivatives
+from dense import derivatives, distances
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxilc.learning import Machine, learn
-from jaxilc.plants import StateSpace
-from jaxilc.schemes import PIDType
 from jaxilc.signals import Task, contour_error
 from jaxilc.signals.paths import butterfly, circle, line, nurbs, plan
 from jaxilc.signals.references import s_curve_move
@@ -356,16 +353,6 @@ def test_on_a_line_it_is_the_signed_offset():
     assert_allclose(contour_error(y[1:2], path, window=40)[0], np.hypot(1.3, offset[1]), **ALGEBRA)
 
 
-def brute_force(points, path):
-    """Return the least distance of each point from the chords, each at three candidates."""
-    a, b = path[:-1], path[1:]
-    away = points[:, None] - a
-    foot = np.sum(away * (b - a), axis=-1) / np.sum((b - a) ** 2, axis=-1)
-    nearest = np.clip(foot, 0, 1)[..., None] * (b - a)
-    ends = (away, points[:, None] - b, away - nearest)
-    return np.min([np.linalg.norm(end, axis=-1) for end in ends], axis=(0, 2))
-
-
 @pytest.fixture(scope="module")
 def measured():
     """Return a wing of the butterfly with its notch, and a motion that lags and oscillates."""
@@ -377,7 +364,7 @@ def measured():
 
 def test_with_a_wide_window_it_is_the_distance_from_the_whole_path(measured):
     y, path = measured
-    expected = brute_force(np.asarray(y), np.asarray(path))
+    expected = distances(np.asarray(y), np.asarray(path))
     assert_allclose(np.abs(contour_error(y, path, window=120)), expected, **ALGEBRA)
     with_line_in_space = [np.column_stack([a, np.full(121, b)]) for a, b in ((y, 0.3), (path, 0.0))]
     assert_allclose(
@@ -409,11 +396,11 @@ def test_a_closed_path_has_no_start():
         np.stack([4.0 * np.cos(lagging), 1.5 * np.sin(lagging)], axis=-1)
         + 0.01 * np.cos(7 * ANGLES)[:, None]
     )
-    expected = brute_force(y, path)
+    expected = distances(y, path)
     ahead = y[np.minimum(np.arange(401) + 14, 400)]
     for one in (y, ahead):
         found = np.abs(contour_error(one, path, window=12))
-        assert_allclose(found, brute_force(one, path), **ALGEBRA)
+        assert_allclose(found, distances(one, path), **ALGEBRA)
     as_if_open = np.abs(contour_error(y, path, window=12, closed=False))
     assert_allclose(as_if_open[12:], expected[12:], **ALGEBRA)
     assert np.max(as_if_open) > 0.08 > 5 * np.max(expected)
@@ -468,23 +455,6 @@ def test_vmapped_it_equals_a_loop(measured):
     assert_allclose(
         jax.jit(jax.vmap(lambda b: contour_error(b, path, window=6)))(batch), looped, **ALGEBRA
     )
-
-
-@pytest.mark.thorough
-def test_it_is_saved_by_learning():
-    """The task has two equal axes, and the tracking error is halved in each trial."""
-    dt = 1e-2
-    planned = plan(ellipse, (0, 2 * np.pi), dt=dt, **LIMITS)
-    table = StateSpace(0.5 * np.eye(2), 0.5 * np.eye(2), np.eye(2), x0=planned.reference[0], dt=dt)
-    task = Task(planned.reference, dt=dt)
-    saved = {"save": lambda trial: contour_error(trial.y, trial.r, window=20)}
-    history = learn(Machine(table), PIDType(gamma_p=1.0), task, 4, **saved)
-    worst = np.max(np.abs(history.saved), axis=1)
-    assert history.saved.shape == (4, task.N + 1)
-    assert_allclose(
-        history.saved[-1], contour_error(history.final.y, planned.reference, window=20), **ALGEBRA
-    )
-    assert worst[-1] < 0.2 * worst[0]
 
 
 @pytest.mark.parametrize(("y", "path", "window", "message"), [

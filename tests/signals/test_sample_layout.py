@@ -1,6 +1,5 @@
 """No number changes by the layout of a batch, and XLA uses the layout that it is given."""
 
-import functools
 import re
 
 import jax
@@ -81,13 +80,3 @@ def test_a_batch_goes_from_trial_to_trial_with_its_samples_side_by_side(scheme):
     )
     assert carry
     assert set(carry) == {"2,0,1"}  # from minor to major: the axis of the samples is the slowest
-
-
-@pytest.mark.thorough
-def test_rows_out_of_a_batch_are_those_of_its_members():
-    last = functools.partial(learned, scheme=FFDLMFAILC())
-    together = jax.vmap(last)(GAINS).final
-    for i, b in enumerate(GAINS):
-        alone = last(b).final
-        np.testing.assert_allclose(together.y[i], alone.y, rtol=1e-12, atol=1e-14)
-        np.testing.assert_allclose(together.u[i], alone.u, rtol=1e-12, atol=1e-14)
