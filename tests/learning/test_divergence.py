@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import xarray as xr
 from cases import DT, task_for
 
 from jaxilc import figures, scenarios
@@ -228,15 +227,6 @@ def test_a_published_row_beside_a_diverged_trial_is_open():
     ours = reproduction._simulated(scenario, rows)
     assert np.isfinite(ours[rows[0]])
     assert ours[rows[1]] == np.inf
-
-
-def test_a_dataset_of_before_has_its_finite_flags():
-    dims = ("scheme", "sample", "trial")
-    errors = np.array([[[9.0, 2.0], [9.0, np.nan]]])
-    dataset = xr.Dataset(
-        {"rms": (dims, errors), "finite": (dims, np.isfinite(errors))}, {"scheme": ["s"]}
-    )
-    assert summarise(dataset, 3.0, metric="rms")[0].diverged == 0.5
 
 
 def test_the_names_are_taken():

@@ -393,21 +393,11 @@ def test_the_largest_of_errors_that_are_all_zero_has_no_slope():
     assert slopes.tolist() == [[0.0, 0.0], [3.0, 7.0], [-3.0, -7.0]]
 
 
-@pytest.mark.thorough
 def test_divergence_has_the_loss_of_the_trial_that_passed_the_ceiling_and_its_slope():
     # With gamma g = 3, |e_j| = 2^(j-1) exceeds 1000 in the 11th trial, which all later trials
-    # repeat.
-    def loss(gamma):
-        return judge(STATIC, PIDType(gamma_p=gamma), TASK, 195, Final("max_error"))
-
-    value, slope = jax.jit(jax.value_and_grad(loss))(3.0)
-    np.testing.assert_allclose(value, np.log(2.0**10 / 1e-6), rtol=1e-9)
-    np.testing.assert_allclose(slope, 10 / 2.0, rtol=1e-9)
-
-
-def test_after_the_trial_that_passed_the_ceiling_no_trial_counts():
-    # |e_j| = (gamma - 1)^(j-1) as above; d log |e_j| / d gamma = (j - 1) / (gamma - 1).
-    each = Each((EveryTrial("max_error") + Effort(2.0) + InputRate(50.0)).terms)
+    # repeat; d log |e_j| / d gamma = (j - 1) / (gamma - 1).
+    last, others = Final("max_error"), Effort(2.0) + InputRate(50.0)
+    each = Each((EveryTrial("max_error") + others + last).terms)
 
     def found(trials):
         return along(lambda gamma: judge(STATIC, PIDType(gamma_p=gamma), TASK, trials, each))(3.0)
@@ -417,6 +407,8 @@ def test_after_the_trial_that_passed_the_ceiling_no_trial_counts():
     np.testing.assert_allclose(late[0][0], np.mean(np.log(2.0**before / 1e-6)), rtol=1e-9)
     np.testing.assert_allclose(late[1][0], np.mean(before / 2.0), rtol=1e-9)
     assert late[0][1] > 1e3
+    np.testing.assert_allclose(late[0][3], np.log(2.0**10 / 1e-6), rtol=1e-9)
+    np.testing.assert_allclose(late[1][3], 10 / 2.0, rtol=1e-9)
     for one, other in zip(late, at_once, strict=True):
         np.testing.assert_allclose(one[1:], other[1:], rtol=1e-12)
     with pytest.raises(ValueError, match="quantity = 'input rate' is what the objective keeps"):

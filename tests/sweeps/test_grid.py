@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from fuzz import HOSTILE, fuzz, pick
+from gain_case import Killed
 from sweep_case import PLAN, TASK
 
 import jaxilc
@@ -86,9 +87,6 @@ def test_the_dataset_is_labelled_and_xarray_works_on_it(dataset):
 
 
 def test_a_killed_grid_resumes_to_the_same_dataset(tmp_path, dataset):
-    class Killed(Exception):
-        pass
-
     def kill(name, done, fresh):
         if done > 20:
             raise Killed
