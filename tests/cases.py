@@ -524,11 +524,11 @@ dt = 0.001
 """
 
 
-def lag(pole=150.0, dt=0.001):
+def lag(pole=150.0, dt=0.001, gain=2.0):
     """Return a plant with a lag in continuous time, and the beginning of its task."""
     return f"""[plant]
 kind = "ProcessModel"
-gain = 2.0
+gain = {gain}
 poles = [{pole}]
 [task]
 dt = {dt}

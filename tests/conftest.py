@@ -217,6 +217,13 @@ def tuned_by_one_program():
 
 
 @pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Work in a folder of the test's own, and return it."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def unpainted(monkeypatch):
     """Save figures as a picture of one pixel: they are drawn, but to paint them takes a second."""
 

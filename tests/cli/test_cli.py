@@ -59,14 +59,7 @@ PLAIN = {
 }
 PROGRAM = (sys.executable, "-m", "jaxilc")
 COLOUR = re.compile("\x1b\\[[0-9;]*3[0-7]")
-pytestmark = pytest.mark.usefixtures("compiled_once")
-
-
-@pytest.fixture
-def here(monkeypatch, tmp_path, unpainted):
-    """Work in a folder of the test's own, and return it."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("compiled_once", "unpainted")
 
 
 def test_a_warning_of_the_library_is_one_line(monkeypatch, capsys):
@@ -109,28 +102,6 @@ def test_run_prints_ours_beside_the_published_and_writes_everything(here, tmp_pa
     assert [p["ours"] is None for p in of_scheme["published"] if p["trial"] == 50] == [True]
     for name in ("error-by-trial.png", "tracking-cfdl-mfailc.png"):
         assert (tmp_path / "here" / name).exists()
-
-
-@pytest.mark.thorough
-def test_settings_reach_leaves_statics_and_options_together(here, tmp_path):
-    settings = (
-        "plant=exact", "ffdl-mfailc.L_y=1", "ffdl-mfailc.phi0=0.5,-0.06,0",
-        "ffdl-mfailc.reset=sign", "plant.gain=7000",
-    )  # fmt: skip
-    flags = [part for s in settings for part in ("--set", s)]
-    done("run", "cao-2019", "--scheme", "ffdl-mfailc", "--trials", 3, "--report", "a.json", *flags)
-    s = jaxilc.scenarios.load("cao-2019", plant="exact")
-    s = s.with_values(
-        {
-            "ffdl-mfailc.L_y": 1,
-            "ffdl-mfailc.phi0": (0.5, -0.06, 0),
-            "ffdl-mfailc.reset": "sign",
-            "machine.plant.gain": 7000.0,
-        }
-    )
-    ours = jaxilc.learn(s.machine, s.schemes["ffdl-mfailc"], s.task, 3).rms[-1, 0]
-    printed = json.loads((tmp_path / "a.json").read_text())["schemes"]["ffdl-mfailc"]["rms"]["3"]
-    np.testing.assert_allclose(printed, 1e3 * ours, rtol=1e-12)
 
 
 def test_sweep_prints_the_yield_and_resumes(here, tmp_path):
@@ -293,7 +264,6 @@ run milc-2024 --set dilc.learning.outputs=1e6 => dilc.learning.outputs = '1e6' i
 whole number, ...)
 sweep cao-2019 --set 'machine.plant.zero=(1,2,3)' => zero = [1. 2. 3.] has shape (3,); allowed is \
 one number
-worst-case cao-2019 --scheme pid --starts 0 --evaluations 9 => --starts 0 is outside
 run bare.toml => bare.toml has no scheme; needed is a table [schemes.NAME] at least
 list file.toml => file.toml is no text in UTF-8: invalid start byte 0xff at byte 0
 identify file => file is no text in UTF-8: invalid start byte 0xff at byte 0

@@ -31,10 +31,9 @@ pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
 @pytest.fixture
-def file(tmp_path, monkeypatch, unpainted):
-    monkeypatch.chdir(tmp_path)
+def file(here, monkeypatch, unpainted):
     monkeypatch.setattr("jaxilc.outcomes.repeating.MACHINES", 3)
-    path = tmp_path / "axis.toml"
+    path = here / "axis.toml"
     path.write_text(FILE)
     return path
 

@@ -186,10 +186,9 @@ def test_every_command_names_a_parameter_file_of_another_scenario_or_scheme(
 
 
 @pytest.fixture
-def axis(tmp_path, monkeypatch):
+def axis(here):
     """Return the scenario of a small file, in the folder of which the command runs."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "axis.toml").write_text(AXIS)
+    (here / "axis.toml").write_text(AXIS)
     return jaxilc.load_scenario("axis.toml").with_values({"ilc.lead": 1})
 
 
@@ -370,16 +369,12 @@ tune --weights 'lam = 2:3' => the start lam = 1.0 is outside its bounds (2, 3)
 tune --weights lam --objective best => --objective: 'best' is not one of final[:trial], every-trial
 tune --weights lam --objective final:0 => final: '0' is not the number of a trial
 tune --weights lam --objective final:100 => trial = 100 is outside its allowed range [1, 80]
-tune --weights lam --objective final@speed => metric = 'speed' is not one of max_error, rms, \
-settled_error
 tune --weights lam --objective '-1*final' => weight of final: -1 is outside its allowed range (0, \
 inf)
 tune --weights lam --objective '2*finl:5' => --objective: 'finl' is unknown; did you mean \
 final[:trial]? Known: final[:trial],
 tune --weights lam --risk median => --risk 'median' is unknown; did you mean mean? Known: mean, \
 worst, cvar[:alpha]
-tune --weights lam --risk cvar:1 => alpha = 1 is outside its allowed range [0, 1)
-tune --weights lam --steps 0 => steps = 0 is outside its allowed range [1, inf)
 pareto --weights lam => --objective final: needed are two objectives, or one and --budgets
 pareto --weights lam --objective final --objective effort --budgets 5 => --objective final, \
 effort --budgets 5: needed are two objectives, or one and

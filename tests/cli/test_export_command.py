@@ -16,10 +16,9 @@ pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
 @pytest.fixture(autouse=True)
-def here(monkeypatch, tmp_path):
+def axis(here):
     """Work in a folder with a plant file."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "axis.toml").write_text(AXIS)
+    (here / "axis.toml").write_text(AXIS)
 
 
 @pytest.mark.parametrize(
@@ -46,23 +45,25 @@ def test_a_mistake_is_one_line_and_nothing_is_written(tmp_path, words, message):
     assert not (tmp_path / "law").exists()
 
 
-def test_a_feedback_that_goes_on_from_trial_to_trial_is_not_exported(tmp_path):
-    """The code begins at rest, and the certificate was of another law."""
-    carried = AXIS.replace("[task]", "[machine.variation]\ncarried = 1.0\n[task]")
-    both = 'class = "WithFeedback"\nlearning = { class = "PIDType" }\n'
-    both += 'feedback = { class = "PID", kp = 0.5, ki = 9.0 }'
-    carried = carried.replace('class = "PIDType"\ngamma_p = 0.5', both)
-    (tmp_path / "carried.toml").write_text(carried)
-    said = refused("export", "carried.toml", "--limit", "9", "--scheme", "ilc")
-    assert "machine.variation.carried makes its feedback" in said
+LOOP = 'class = "WithFeedback"\nlearning = { class = "PIDType" }\n'
+LOOP += 'feedback = { class = "PID", kp = 0.5, ki = 9.0 }'
 
 
-@pytest.mark.parametrize("option", ["dropped = 0.05", "shortest = 0.5"])
-def test_a_law_is_not_certified_on_trials_that_its_code_refuses(tmp_path, option):
-    lossy = AXIS.replace("[task]", f"[machine.variation]\n{option}\n[task]")
-    (tmp_path / "lossy.toml").write_text(lossy)
-    said = refused("export", "lossy.toml", "--limit", "9", "--scheme", "ilc")
-    assert f"machine.variation.{option}, and the code learns" in said
+@pytest.mark.parametrize(
+    ("option", "law", "message"),
+    [
+        ("dropped = 0.05", "PIDType", "dropped = 0.05, and the code learns"),
+        ("shortest = 0.5", "PIDType", "shortest = 0.5, and the code learns"),
+        ("carried = 1.0", "WithFeedback", "carried makes its feedback"),
+    ],
+)
+def test_a_law_is_not_certified_on_trials_that_its_code_refuses(tmp_path, option, law, message):
+    """The code begins at rest, too, and the certificate was of another law."""
+    varied = AXIS.replace("[task]", f"[machine.variation]\n{option}\n[task]")
+    loop = varied.replace('class = "PIDType"\ngamma_p = 0.5', LOOP)
+    (tmp_path / "varied.toml").write_text(varied if law == "PIDType" else loop)
+    said = refused("export", "varied.toml", "--limit", "9", "--scheme", "ilc")
+    assert f"machine.variation.{message}" in said
 
 
 @pytest.mark.parametrize(

@@ -50,11 +50,10 @@ def write_response(path, scatter="", *columns):
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch, unpainted):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "axis.toml").write_text(AXIS)
+def here(here, unpainted):
+    (here / "axis.toml").write_text(AXIS)
     write_response("a.csv", ",std", 0.02 * np.abs(PLANT))
-    return tmp_path
+    return here
 
 
 def answer(value: float, proof: WholeSet) -> tuple[Question, Lines]:

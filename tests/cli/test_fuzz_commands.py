@@ -106,8 +106,7 @@ def settings_kept():
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def folder(here, tmp_path, monkeypatch):
     (tmp_path / "p.toml").write_text(PLANT)
     time = np.arange(200) * 1e-3
     for name, header in (("record", "t,u,y"), ("repeats", "t,e_1,e_2")):

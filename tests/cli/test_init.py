@@ -25,10 +25,7 @@ S = np.clip(np.arange(401) / 200, 0, 1)
 MOVE = 5 * (10 * S**3 - 15 * S**4 + 6 * S**5)  # a set-point
 
 
-@pytest.fixture(autouse=True)
-def here(monkeypatch, tmp_path):
-    """Work in a folder of the test's own."""
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("here")
 
 
 def test_a_set_point_is_corrected_from_the_error_of_the_drive_on(tmp_path):

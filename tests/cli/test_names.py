@@ -111,8 +111,7 @@ def test_a_scenario_made_in_python_is_held_to_the_same():
         dataclasses.replace(scenarios.load("dai-2014"), tolerance=float("inf"))
 
 
-def test_a_name_that_leads_elsewhere_writes_nothing(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_name_that_leads_elsewhere_writes_nothing(here, tmp_path):
     (tmp_path / "inside").mkdir()
     for changes in ({"name": "x/../../../escaped"}, {"schemes": {"a/b": FILE["schemes"]["ilc"]}}):
         path = write(tmp_path / "inside", **changes)

@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 import scipy.signal
+from cases import follows, lag, p_type
 from command import invoked, write_columns
 
 from jaxilc.cli.hardware import _log_table
@@ -27,28 +28,10 @@ from jaxilc.storage.sealed import json_text, sealed
 
 N, DT, POLE = 40, 0.01, 20.0
 AXIS = f"""trials = 8
-[plant]
-kind = "ProcessModel"
-gain = 1.0
-zeros = []
-poles = [{POLE}]
-frequencies = []
-dampings = []
-[machine.sensor]
+{lag(POLE, DT, gain=1.0)}input_unit = "V"
+{follows(2.5, N * DT)}[machine.sensor]
 noise = 1e-3
-[task]
-dt = {DT}
-unit = "mm"
-input_unit = "V"
-[task.reference]
-function = "sinusoid"
-amplitude = 1.0
-frequency = 2.5
-duration = {N * DT}
-[schemes.ilc]
-class = "PIDType"
-gamma_p = 1.0
-lead = 3
+{p_type(1.0)}lead = 3
 [uncertainty]
 "plant.gain" = {{ distribution = "uniform", low = 0.95, high = 1.05 }}
 """
@@ -88,11 +71,9 @@ def begun(tmp_path_factory):
 
 
 @pytest.fixture
-def copied(begun, tmp_path, monkeypatch):
+def copied(begun, here):  # where figures without a folder of their own go
     """Return a copy of the folder, in which a call of `next` goes on."""
-    monkeypatch.chdir(tmp_path)  # figures without a folder of their own go there
-    shutil.copytree(begun[0], tmp_path / "floor")
-    folder = tmp_path / "floor"
+    folder = shutil.copytree(begun[0], here / "floor")
 
     def go_on(*arguments):
         return call("next", "--state", folder / "x", "--out", folder / "next.csv", *arguments)

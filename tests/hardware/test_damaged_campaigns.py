@@ -68,6 +68,12 @@ def unbound(folder):
         file.write_text(json_text(sealed(manifest | {"format": 2})))
 
 
+def emptied(folder, entry):
+    """Damage both manifests of an entry."""
+    for name in ("manifest.json", "manifest.copy.json"):
+        (folder / f"{entry:06d}" / name).write_bytes(b"")
+
+
 def goes_on_or_back(folder, played):
     """Check that a campaign goes on from its third trial, or refuses in one line and goes back."""
 
@@ -126,8 +132,7 @@ def test_a_trial_that_was_undone_does_not_come_back_where_its_successor_is_damag
     for trial in TRIALS[3:] + TRIALS[:later]:
         trial = trial._replace(y=1.1 * trial.y)
         opened(folder).keep(opened(folder).turn(trial))  # trial 2 anew, and one more
-    for name in ("manifest.json", "manifest.copy.json"):
-        (folder / "000005" / name).write_bytes(b"")
+    emptied(folder, 5)
     for trial in (2, 3):
         with pytest.raises(ValueError, match=rf"{trial} is not one to go back to; .* are 0 to 1, "):
             opened(folder).undo(trial)
@@ -138,16 +143,14 @@ def test_a_trial_that_was_undone_does_not_come_back_where_its_successor_is_damag
 def test_an_entry_that_cannot_be_read_may_be_an_undo_and_a_trial_before_it_undone(copied):
     folder, _ = copied
     opened(folder).undo(1)
-    for name in ("manifest.json", "manifest.copy.json"):
-        (folder / "000004" / name).write_bytes(b"")
+    emptied(folder, 4)
     doubted = [opened(folder).doubt(trial) for trial in range(4)]
     told = [f"entry 4 cannot be read, and may be an undo of trial {j}, " for j in (1, 2, 3)]
     assert [text[: len(told[0])] for text in doubted] == ["", *told]
     opened(folder).undo(3)
     opened(folder).keep(opened(folder).turn(TRIALS[3]))
     assert opened(folder).doubt(3) == ""
-    for name in ("manifest.json", "manifest.copy.json"):
-        (folder / "000006" / name).write_bytes(b"")
+    emptied(folder, 6)
     (told,) = {opened(folder).doubt(trial)[:23] for trial in (1, 2, 3)}
     assert told == "entry 6 cannot be read,"
     shutil.rmtree(folder / "000006")
@@ -158,9 +161,8 @@ def test_an_entry_that_cannot_be_read_may_be_an_undo_and_a_trial_before_it_undon
 def test_where_nothing_can_be_gone_back_to_the_refusal_says_so(copied):
     folder, _ = copied
     (folder / "head.json").unlink()
-    for entry, said in (("000000", "allowed are 1 to 3, "), ("000001", "none can be read; start")):
-        for name in ("manifest.json", "manifest.copy.json"):
-            (folder / entry / name).write_bytes(b"")
+    for entry, said in enumerate(("allowed are 1 to 3, ", "none can be read; start")):
+        emptied(folder, entry)
         with pytest.raises(ValueError, match=f"trial = 0 is not one to go back to; {said}"):
             opened(folder).undo(0)
 
@@ -403,10 +405,9 @@ def command(*arguments):
     return faults.call(*arguments)[0]
 
 
-def test_a_manifest_that_somebody_made_is_refused_in_one_line(tmp_path, monkeypatch):
+def test_a_manifest_that_somebody_made_is_refused_in_one_line(here, tmp_path, monkeypatch):
     """It has a correct checksum, or is in the first format, without one."""
     monkeypatch.setattr(sys, "argv", [])
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "axis.toml").write_text(first_order(0.5, 0.5) + follows(50.0, 0.02) + p_type(0.0))
     (tmp_path / "trial.csv").write_text(
         "t [s],y,u\n" + "".join(f"{k * 0.001},{0.1 * k},{0.2 * k}\n" for k in range(21))

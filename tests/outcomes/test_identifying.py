@@ -128,8 +128,7 @@ def test_a_machine_that_rests_at_its_first_input_is_fitted_from_there(rests_at, 
     assert found.numbers["gain"]["low"] < 1.0 < found.numbers["gain"]["high"]
 
 
-def test_mass_and_friction_of_a_record_of_force_are_told(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_mass_and_friction_of_a_record_of_force_are_told(here):
     t = np.arange(2000) * 1e-3
     x = 0.05 * np.sin(6.0 * t) + 0.02 * np.sin(15.0 * t)
     v, a = np.gradient(x, 1e-3), np.gradient(np.gradient(x, 1e-3), 1e-3)
@@ -192,9 +191,8 @@ def test_a_plant_that_integrates_is_told_to_get_a_feedback_first(tmp_path, monke
 
 
 @pytest.mark.thorough
-def test_the_plant_file_of_the_next_command_is_not_there_yet(tmp_path, monkeypatch):
+def test_the_plant_file_of_the_next_command_is_not_there_yet(here, tmp_path):
     """--out replaces no plant file, so that a second record ended in an error."""
-    monkeypatch.chdir(tmp_path)
     path = write(tmp_path / "a.csv", 0)
     for name in ("axis", "axis-2", "axis-3"):
         found = outcomes.identify(path, reading={"structure": STRUCTURE})

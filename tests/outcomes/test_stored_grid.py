@@ -4,6 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
+from gain_case import Killed
 
 from jaxilc import Machine, Sweep, Task, outcomes
 from jaxilc.outcomes import Request
@@ -36,12 +37,15 @@ def stored(folder, grid, settings=()):
 
 def test_settings_are_also_values_by_path():
     law = f"{NAME}.phi0"
-    values = {"frequency": 50, f"{NAME}.lam": np.float64(0.1) / 3, law: np.array(PHI0[1])}
-    texts = ("frequency=50", f"{NAME}.lam={0.1 / 3!r}", f"{law}=0.25,0.125,-0.03,0.01")
+    values = {"frequency": 50, f"{NAME}.lam": np.float64(0.1) / 3, law: np.array(PHI0[1][:3])}
+    values |= {f"{NAME}.L_y": 1, f"{NAME}.reset": "sign", "plant.gain": 7e3}
+    texts = ("frequency=50", f"{NAME}.lam={0.1 / 3!r}", f"{law}=0.25,0.125,-0.03")
+    texts += (f"{NAME}.L_y=1", f"{NAME}.reset=sign", "plant.gain=7000.0")
     assert Request("cao-2019", set=values).set == texts
-    chosen = Request("cao-2019", (NAME,), values).scenario()
-    assert float(chosen.schemes[NAME].lam) == 0.1 / 3
-    assert tuple(chosen.schemes[NAME].phi0) == PHI0[1]
+    chosen = Request("cao-2019", (NAME,), texts).scenario()
+    found = chosen.schemes[NAME]
+    assert (float(found.lam), tuple(found.phi0), found.L_y) == (0.1 / 3, PHI0[1][:3], 1)
+    assert (found.reset, float(chosen.machine.plant.gain), chosen.task.N) == ("sign", 7e3, 20)
 
 
 @pytest.fixture(scope="module")
@@ -143,9 +147,6 @@ def test_what_is_no_grid_of_this_scenario_is_refused(tmp_path):
 
 
 def test_what_is_killed_or_damaged_is_refused_until_it_is_resumed(tmp_path):
-    class Killed(Exception):
-        pass
-
     def kill(name, done, fresh):
         raise Killed
 

@@ -298,8 +298,7 @@ def sweep_command(monkeypatch, *arguments):
         return stop.code
 
 
-def test_the_command_takes_a_scheduler_file(monkeypatch, tmp_path, client):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_takes_a_scheduler_file(monkeypatch, here, client):
     Path("scheduler.json").write_text(
         json.dumps({"type": "Scheduler", "address": client.scheduler.address})
     )
@@ -316,7 +315,7 @@ def test_the_command_takes_a_scheduler_file(monkeypatch, tmp_path, client):
     assert dasks.isEnabledFor(logging.ERROR)
     assert not sweep_command(monkeypatch, *small, "--out", "alone")
     xr.testing.assert_identical(
-        *(jaxilc.open_dataset(tmp_path / out / "dataset.zarr") for out in ("many", "alone"))
+        *(jaxilc.open_dataset(here / out / "dataset.zarr") for out in ("many", "alone"))
     )
 
 
@@ -359,12 +358,11 @@ def test_a_killed_workers_chunks_are_computed_again(tmp_path, client, alone, wri
     until(lambda: len(client.nthreads()) == 2 and not set(killed) & set(client.nthreads()))
 
 
-def test_a_scheduler_out_of_reach_is_one_line(monkeypatch, tmp_path, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_a_scheduler_out_of_reach_is_one_line(monkeypatch, here, capsys):
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     assert sweep_command(monkeypatch, "--scheme", "pid", "--dask", "tcp://127.0.0.1:9") == 2
     assert (
         "error: no Dask scheduler answers at tcp://127.0.0.1:9 within 0.5 s"
         in capsys.readouterr().err
     )
-    assert not list(tmp_path.glob("out/*/*"))
+    assert not list(here.glob("out/*/*"))
