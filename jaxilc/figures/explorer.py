@@ -59,6 +59,7 @@ DECADES = 2.0  # of a weight, to both sides of its value
 LEADS, MORE = 60, 8  # least end of the slider of a lead [samples], and of another whole number
 LINES = 240  # frequencies
 KEPT = 8  # spreads whose machines are kept
+STEPS = 400  # of a slider that is not of a whole number
 MACHINE = "machine."  # before a path of the machine
 
 
@@ -312,17 +313,24 @@ def _control(tree: Tree, path: str, dt: float) -> Control | None:
         ends = (ends[0], min(ends[1], max(0.49 / dt, number)))
     if ends[1] <= ends[0]:
         return None
+    if allowed is not None and not whole:  # an end that is excluded stays a step away
+        step = (ends[1] - ends[0]) / STEPS
+        ends = (
+            ends[0] if allowed.contains(ends[0]) else min(number, ends[0] + step),
+            ends[1] if allowed.contains(ends[1]) else max(number, ends[1] - step),
+        )
     log = not whole and ends[0] > 0 and ends[1] / ends[0] > 30
     return Control(path, number, *ends, log, whole)
 
 
 def _spread_of(scenario: Scenario) -> float | None:
-    """The larger half-width of the first relative uncertainty; None without one."""
-    for one in scenario.uncertainty.values():
-        if one.relative:
-            low, high = one.corners()
-            return max(high - 1.0, 1.0 - low)
-    return None
+    """The larger half-width of the first relative uncertainty; None without one below 1.
+
+    A spread of 1 or more, as of an uneven range, is none that `with_spread` could give back.
+    """
+    relative = (one.corners() for one in scenario.uncertainty.values() if one.relative)
+    half_width = next((max(high - 1.0, 1.0 - low) for low, high in relative), np.inf)
+    return half_width if half_width < 1 else None
 
 
 def _size(scheme, machine, task, f) -> jax.Array:
@@ -657,7 +665,7 @@ def _slider(control: Control) -> Slider:
     )
     power = CustomJSTickFormatter(code="return (10 ** tick).toPrecision(3)")
     return Slider(
-        title=title, start=low, end=high, value=value, step=(high - low) / 400,
+        title=title, start=low, end=high, value=value, step=(high - low) / STEPS,
         format=power if control.log else "0[.]000",
     )  # fmt: skip
 

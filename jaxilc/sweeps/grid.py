@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sized
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sized
 from contextlib import suppress
 from functools import cached_property
 from itertools import combinations, product
@@ -120,6 +120,15 @@ class Axis:
     def size(self) -> int:
         return len(self.values[self.name])
 
+    @property
+    def ends(self) -> list[int]:
+        """The positions of the least and the largest value; of what is no number the first one."""
+        numbers = as_numbers(self.values[self.name])
+        if numbers is None:
+            return [0]
+        by_size = np.argsort(np.reshape(numbers, (self.size, -1))[:, 0])
+        return sorted({int(by_size[0]), int(by_size[-1])})
+
     @cached_property
     def labels(self) -> dict[str, np.ndarray]:
         """The values by name as a coordinate has them: numbers, or text for all others."""
@@ -174,10 +183,15 @@ class Grid:
                     found.setdefault(part, {})[path] = values[at]
         return found
 
-    def variants(self, parts: Parts) -> dict[str, Variant]:
-        """The variants by their names, scheme by scheme; raises ValueError as `replaced` does."""
-        found, places = {}, product(*(range(axis.size) for axis in self.static))
-        for name, fixed in product(parts.schemes, places):
+    def variants(
+        self, parts: Parts, places: Iterable[tuple[int, ...]] | None = None
+    ) -> dict[str, Variant]:
+        """The variants by their names, scheme by scheme; raises ValueError as `replaced` does.
+
+        places: positions in the static axes, None for all
+        """
+        found, every = {}, product(*(range(axis.size) for axis in self.static))
+        for name, fixed in product(parts.schemes, every if places is None else places):
             at = dict(zip(self.static, fixed, strict=True))
             made = self.at({axis.name: i for axis, i in at.items()}, parts)
             which = [f"{axis.name} = {axis.labels[axis.name][i]}" for axis, i in at.items()]
@@ -233,8 +247,8 @@ class Grid:
     def check(self, population: Population, parts: Parts, quantities: Mapping[str, Value]) -> None:
         """Raises ValueError, naming the axis, for values with which a sweep cannot run.
 
-        Of each axis of leaves its ends are checked, of the static ones all values, and of drawn
-        ends of trials the earliest. The numbers of the population are drawn.
+        Of each axis of leaves its ends are checked, of the static ones the ends and then all
+        values, and of drawn ends of trials the earliest. The numbers of the population are drawn.
         """
         drawn = population.drawn
 
@@ -269,15 +283,17 @@ class Grid:
                 "replaces machine, task and schemes as a whole; allowed is one such axis, and the "
                 "other option set to one value"
             )
-        if self.static:
-            for name, variant in self.variants(parts).items():
+        corners = product(*(axis.ends for axis in self.static))
+        for places in (
+            (corners, None) if self.static else ()
+        ):  # all take a minute where they are many
+            for name, variant in self.variants(parts, places).items():
                 _same_shape(name, parts.task, variant.task)
                 _named(check, variant.machine, variant.scheme, variant.task)
                 _named(allow, variant.machine, variant.task)
         for axis in self.leaves:
-            by_size = np.argsort(np.reshape(axis.values[axis.name], (axis.size, -1))[:, 0])
-            for i in by_size[[0, -1]]:
-                here = self.at({axis.name: int(i)}, parts)
+            for i in axis.ends:
+                here = self.at({axis.name: i}, parts)
                 for name, scheme in here.schemes.items():
                     if {n.partition(".")[0] for n in axis.values} & {name, *_OTHERS}:
                         _named(check, here.machine, scheme, here.task)

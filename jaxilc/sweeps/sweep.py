@@ -142,7 +142,8 @@ class Sweep:
                     "name without '/'"
                 )
         if plan.lanes is None:
-            most = max(bytes_of_trial(of.scheme, of.task) for of in plan.variants.values())
+            each = {id(of.scheme): of for of in plan.variants.values()}.values()
+            most = max(bytes_of_trial(of.scheme, of.task) for of in each)
             lanes = usual_lanes(most) or Host(plan).fitting_lanes()
             plan = dataclasses.replace(plan, lanes=lanes)
         return plan if plan.chunk is not None else dataclasses.replace(plan, chunk=_chunk_of(plan))

@@ -311,7 +311,6 @@ class Tuning:
                 return again.run(out, resume=True, progress=progress)
         z = self._weights.starts(self.starts, self.scatter, self.seed)
         init, step, _ = self._programs
-        refused: list[str] = []
         with ExitStack() as opened:
             place = None
             if resume and out is not None and Path(out).exists():  # refused before it is compiled
@@ -330,34 +329,40 @@ class Tuning:
             now, reason = descended(
                 step,
                 now if place is None else place.latest(now),
-                lambda z: self._held_out_at(z, refused),
+                self._held_out_at,
                 validate_every=self.validate_every,
                 patience=self.patience,
                 after_step=after_step,
             )
-        if refused:
-            said = f"Tuning: weights that the scheme refuses together are not chosen: {refused[0]}"
+        path = np.append(now.path[: int(now.step)], now.z[None], axis=0)
+        looked_at = path[np.isinf(now.held_out[: len(path)])]  # before it was resumed, too
+        if why := next(filter(None, map(self._refusal, looked_at)), ""):
+            said = f"Tuning: weights that the scheme refuses together are not chosen: {why}"
             warnings.warn(f"{said}. Give narrower bounds", RuntimeWarning, stacklevel=2)
         best = self._weights.at(now.best_z)
         both = {name: np.array([self.start[name], best[name]], z.dtype) for name in best}
         before, after = self.held_out_losses(both).tolist()
         return Tuned.of(now, self._weights, self.scheme, before, after, reason)
 
-    def _held_out_at(self, z: Z, refused: list[str]) -> np.ndarray:
-        """(K,) the held-out losses at z (K, P), infinite where the scheme refuses the weights.
+    def _held_out_at(self, z: Z) -> np.ndarray:
+        """(K,) the held-out losses at z (K, P), infinite where the scheme refuses the weights."""
+        losses = np.array(self._programs[2](self._weights.at(z)))
+        refused = [
+            bool(np.isfinite(of) and self._refusal(one)) for of, one in zip(losses, z, strict=True)
+        ]
+        return np.where(refused, np.inf, losses)
 
-        Each weight is allowed by itself, but two may not be so together; why is added to `refused`.
+    def _refusal(self, z: Z) -> str:
+        """Why the scheme refuses the weights at z (P,), empty where it does not.
+
+        Each weight is allowed by itself, but two may not be so together.
         """
-        rows = self._weights.at(z)
-        losses = np.array(self._programs[2](rows))
-        for k in np.flatnonzero(np.isfinite(losses)):
-            try:
-                scheme = self.scheme_of({name: float(of[k]) for name, of in rows.items()})
-                check(self.population.machine, scheme, self.task)
-            except ValueError as error:
-                refused.append(str(error))
-                losses[k] = np.inf
-        return losses
+        values = {name: float(of) for name, of in self._weights.at(z).items()}
+        try:
+            check(self.population.machine, self.scheme_of(values), self.task)
+        except ValueError as error:
+            return str(error)
+        return ""
 
     def held_out_losses(self, rows: Mapping[str, np.ndarray]) -> np.ndarray:
         """(n,) the held-out losses of n values of each weight, by the program that `run` uses."""

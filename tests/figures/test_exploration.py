@@ -468,6 +468,18 @@ def test_a_spread_is_shown_as_it_is_and_stays_until_its_slider_is_moved(of, show
         assert page.spread_asked() == pytest.approx(moved / 100)
 
 
+def test_the_page_offers_nothing_that_is_refused(tmp_path):
+    """The slider of a leak in [0, 1) ended at 1, and that of a spread from 50 to 150 % at 150."""
+    uneven = {"plant.B": Uniform(0.5, 2.5, relative=True)}
+    s = dataclasses.replace(axis(), schemes={"ilc": PIDType(gamma_p=0.5)}, uncertainty=uneven)
+    page = Explorer(Exploration(s, machines=2), tmp_path)
+    for path in ("leak", "gamma_p"):
+        for end in (page.sliders[path].start, page.sliders[path].end):
+            page.of.scheme_with({path: end}).check(s.task)
+    assert page.sliders["leak"].end > 0.99
+    assert page.spread is None
+
+
 def test_a_cutoff_beyond_its_slider_is_shown_as_it_is(tmp_path):
     s = axis().with_values({"ilc.filter.cutoff": 495.0})
     page = Explorer(Exploration(s, machines=1, source="axis.toml"), tmp_path)

@@ -405,19 +405,23 @@ TOGETHER = {
 
 
 def test_weights_that_are_refused_together_are_not_held_best():
-    problem, refused = dataclasses.replace(PROBLEM, **TOGETHER), []
+    problem = dataclasses.replace(PROBLEM, **TOGETHER)
     vars(problem)["_programs"] = None, None, lambda rows: jnp.array([0.2, 0.1, jnp.nan])
-    found = problem._held_out_at(np.array([[0.0, 0.0], [9.0, 9.0], [0.0, 0.0]]), refused)
+    found = problem._held_out_at(np.array([[0.0, 0.0], [9.0, 9.0], [0.0, 0.0]]))
     np.testing.assert_array_equal(found, np.array([0.2, np.inf, np.nan], found.dtype))
-    assert refused[0].startswith("HigherOrder: the sum of alpha = 1.07968 is")
+    refusal = problem._refusal(np.array([9.0, 9.0]))
+    assert refusal.startswith("HigherOrder: the sum of alpha = 1.07968 is")
 
 
 @pytest.mark.thorough
-def test_a_tuning_whose_steps_are_refused_leaves_the_weights_as_given():
-    problem = dataclasses.replace(PROBLEM, **TOGETHER)
-    with pytest.warns(RuntimeWarning, match=r"refuses together .* the sum of alpha = 1\.00\d+ is"):
-        tuned = problem.run()
-    assert tuned.values == pytest.approx({"alpha[0]": 0.45, "alpha[1]": 0.45}, rel=1e-12)
+def test_a_tuning_whose_steps_are_refused_leaves_the_weights_as_given(tmp_path, monkeypatch):
+    """It says so again when it is resumed, whatever is refused from then on."""
+    problem = dataclasses.replace(PROBLEM, **TOGETHER | {"steps": 2, "validate_every": 1})
+    for _ in range(2):
+        with pytest.warns(RuntimeWarning, match=r"refuses together .* alpha = 1\.00\d+ is"):
+            tuned = problem.run(tmp_path / "state", resume=True)
+        assert tuned.values == pytest.approx({"alpha[0]": 0.45, "alpha[1]": 0.45}, rel=1e-12)
+        monkeypatch.setattr(Tuning, "_held_out_at", lambda self, z: np.full(len(z), 9.0))
 
 
 @pytest.mark.thorough
