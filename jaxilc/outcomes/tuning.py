@@ -584,7 +584,8 @@ def _front(of: _Of, second: Objective, shares: Sequence[float], names: tuple[str
         verdict=front_verdict(case, of.scheme, numbers, of.folder, names),
         tables=[front_table(of.chosen, of.scheme, numbers)],
         lines=[
-            f"share {share} is left out: another point is no worse in either objective"
+            f"share {share} is left out: another point, or the weights as given, is no worse in "
+            "either objective"
             for share in left
         ],
         figures={"front": Figure(caption, draw, live=True)},
@@ -675,7 +676,7 @@ def front_verdict(
     points = {share: row for share, row in numbers["points"].items() if share != "given"}
     given = numbers["points"]["given"]
     if not points:
-        return Verdict(("No point of the front is finite.",))
+        return Verdict(("No point is better than the weights as given.",))
     share = _knee(points)
     row = points[share]
     said = (

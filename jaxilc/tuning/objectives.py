@@ -245,7 +245,7 @@ class Objective:
 class Sum(Objective):
     """The sum of weight_i objective_i over all parts.
 
-    parts: (weight, objective) pairs
+    parts: (weight, objective) pairs; one of weight 0 does not count, also where it is not finite
     """
 
     parts: tuple[tuple[float, Objective], ...]
@@ -255,7 +255,7 @@ class Sum(Objective):
         return self.parts
 
     def __call__(self, run: Run):
-        return sum((w * term(run) for w, term in self.parts), jnp.zeros(()))
+        return sum((w * term(run) for w, term in self.parts if w), jnp.zeros(()))
 
 
 @dataclasses.dataclass(frozen=True)

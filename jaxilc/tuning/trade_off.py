@@ -52,7 +52,8 @@ def pareto(
     first_0 and second_0 are the objectives on the held-out machines with the weights as given, so
     that with a share of 1/2 a gain of 1 % in either objective counts the same. An objective that is
     zero or not finite there is not divided. Each tuning starts from the weights as given. A point
-    that is worse than another one in both objectives is left out. A weighted sum finds only the
+    is left out where another one, or the weights as given, is no worse in either objective and
+    better in one: a risk of the sum may fall where both risks rise. A weighted sum finds only the
     convex part of the front (Das and Dennis 1997), and evenly spaced shares need not give evenly
     spaced points.
 
@@ -68,10 +69,8 @@ def pareto(
     if out is not None and not resume:
         need_free(out)
     losses = losses or held_out_losses(problem, first, second)
-    one, other = (
-        scale if np.isfinite(scale) and scale > 0 else 1.0
-        for scale in np.abs(losses(problem.start)).tolist()
-    )
+    given = losses(problem.start).tolist()
+    one, other = (abs(of) if 0 < abs(of) < np.inf else 1.0 for of in given)
     sums = {share: share / one * first + (1.0 - share) / other * second for share in shares}
     problems = {
         f"share-{share}": dataclasses.replace(problem, objective=total)
@@ -79,16 +78,17 @@ def pareto(
     }
     found = _tuned(problems, out, resume, progress)
     points = [
-        Point(share, *losses(tuned.values).tolist(), tuned)
+        Point(
+            share, *(np.inf if np.isnan(of) else of for of in losses(tuned.values).tolist()), tuned
+        )
         for share, tuned in zip(shares, found.values(), strict=True)
     ]
-    best = [
+    rivals = {tuple(given), *(p[1:3] for p in points)}
+    best = (
         p
         for p in points
-        if not any(
-            q.first <= p.first and q.second <= p.second and (q[1:3] != p[1:3]) for q in points
-        )
-    ]
+        if not any(q[0] <= p.first and q[1] <= p.second and q != p[1:3] for q in rivals)
+    )
     return tuple(sorted(best, key=lambda p: p.first))
 
 
