@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +23,6 @@ from operations import cost, of_a_trial
 from timing import OURS, Entry, Row, in_turns
 
 from jaxilc import scenarios
-from jaxilc.learning.divergence import CEILING
 from jaxilc.learning.known_metrics import bytes_of_metrics
 from jaxilc.learning.machine import Machine
 from jaxilc.learning.metrics import Keep
@@ -42,10 +40,9 @@ from jaxilc.scenarios.xu_2024 import MODEL
 from jaxilc.schemes import NormOptimal, Scheme
 from jaxilc.signals.task import Task, Trial
 from jaxilc.sweeps.host import TRIALS_A_PASS
+from jaxilc.tuning import Tuning
 from jaxilc.tuning.descent import Evaluation, over_starts
 from jaxilc.tuning.objectives import Final, Objective
-from jaxilc.tuning.problem import Losses
-from jaxilc.tuning.risks import Mean
 from jaxilc.tuning.weights import Weights
 from jaxilc.uncertainty import Population, Uncertainty, Uniform
 
@@ -113,21 +110,14 @@ class Learning:
         Raises ValueError where the program does not fit into RAM, Unknown where none can be
         compiled.
         """
-        asked: Any = SimpleNamespace(  # what the losses read of a tuning
-            **vars(self),
-            machines=self.population.size,
-            held_out=0,
-            risk=Mean(),
+        asked = Tuning(
+            self.population, self.scheme, self.task, self.trials,
+            {name: (of.low, of.high) for name, of in weights.bijections.items()},
+            objective=self.objective, quantities=self.quantities, held_out=0, steps=1, clip=np.inf,
             mode="forward" if forward else "reverse",
-            truncate=None,
-            ceiling=CEILING,
-            clip=np.inf,
-            steps=1,
-            starts=1,
-        )
-        lanes = Losses(asked, weights, 1).fitting_lanes()
+        )  # fmt: skip
         with _wanted(native):
-            evaluate, compiled = Losses(asked, weights, lanes).evaluation()
+            evaluate, compiled = asked.evaluation
         if native and not compiled:
             raise Unknown("a gradient that XLA computes")
         return _built(over_starts(evaluate), weights.starts(1, 0.0, SEED))

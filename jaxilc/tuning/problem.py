@@ -177,6 +177,7 @@ class Tuning:
         self._need_room()
         _ = self.population.drawn  # which cannot be drawn where a number leaves its range
         jax.eval_shape(lambda: self.loss_of(machine, {}))
+        _ = self._lanes
 
     def __getstate__(self) -> dict[str, Value]:
         """The fields alone: what follows from them may be a compiled program, which has no copy."""
@@ -233,10 +234,26 @@ class Tuning:
         return Weights.of(self.scheme, self.weights)
 
     @cached_property
-    def _losses(self) -> Losses:
-        """The losses, with the lanes that suit them where they were left open."""
-        lanes = self.lanes or Losses(self, self._weights, 1).fitting_lanes()
-        return Losses(self, self._weights, lanes)
+    def _lanes(self) -> int:
+        """The lanes; where they were left open, those that suit the backend and fit with slopes.
+
+        They are for all machines at each start.
+        Raises ValueError where a single machine does not fit on a device.
+        """
+        size = bytes_of_trial(self.scheme, self.task)
+        lanes = self.lanes or usual_lanes(size, backward=not self._forward)
+        if lanes is not None:
+            return lanes
+        of_one = partial(self._slope_of_one, objective=split(self.objective)[0])
+        batch, z = self.population.batch(), jnp.zeros(len(self.start))
+        every = max(self.machines, self.held_out) * self.starts
+        return fitting_lanes(of_one, z, batch, every, held=every, what="Tuning")
+
+    @property
+    def _forward(self) -> bool:
+        """Whether slopes are computed forward, which costs less for few weights."""
+        few = self.mode == "auto" and len(self.start) <= FORWARD_UP_TO
+        return self.mode == "forward" or few
 
     @property
     def start(self) -> dict[str, float]:
@@ -255,7 +272,7 @@ class Tuning:
         around = environment("optax", *["llvmlite"] * native)
         if native:
             around["native"] = True
-        return described | {"lanes": int(self._losses.lanes), "environment": around}
+        return described | {"lanes": int(self._lanes), "environment": around}
 
     def scheme_of(self, values: Mapping[str, Value]) -> Scheme:
         """The scheme with these values of the weights by name; also usable inside `jit`."""
@@ -270,7 +287,11 @@ class Tuning:
         key=None,
     ) -> jax.Array:
         """() the objective of one machine with these weights, a pure function."""
-        return self._losses.of_machine(machine, values, objective or self.objective, key=key)
+        last = None if self.truncate is None else min(self.truncate, self.trials)
+        return judge(
+            machine, self.scheme_of(values), self.task, self.trials, objective or self.objective,
+            key=key, ceiling=self.ceiling, save=Keep.of(self.quantities), last=last,
+        )  # fmt: skip
 
     def held_out_loss(
         self, values: Mapping[str, Value], objective: Objective | None = None
@@ -279,7 +300,16 @@ class Tuning:
         population, first = self.population, 0
         if self.held_out:  # the nominal machine is one of those that are trained on
             population, first = population.others(self.seed + 1, self.held_out + 1), 1
-        return self._losses.risk_of(values, objective or self.objective, population, first)
+        of_machines, of_nominal = split(objective or self.objective)
+        batch = population.batch(first)
+        run = tiled(
+            lambda values, one: self._of_one(values, one, of_machines, population),
+            lanes=self._lanes_of(batch),
+        )
+        risk = self.risk(counted(run(values, batch)))
+        if not of_nominal.parts:
+            return risk
+        return risk + self.loss_of(population.machine, values, of_nominal)
 
     def run(
         self,
@@ -305,8 +335,8 @@ class Tuning:
         if out is not None and not resume:
             need_free(out)
         if resume and out is not None and self.lanes is None:
-            begun = stored_lanes(Path(out)) or self._losses.lanes
-            if begun != self._losses.lanes:
+            begun = stored_lanes(Path(out)) or self._lanes
+            if begun != self._lanes:
                 again = dataclasses.replace(self, lanes=begun)
                 return again.run(out, resume=True, progress=progress)
         z = self._weights.starts(self.starts, self.scatter, self.seed)
@@ -444,10 +474,64 @@ class Tuning:
         method = method_of(self.optimiser, self.evaluation[0], self.rate, self.steps)
         return *for_starts(method), jax.jit(over_starts(self.held_out_loss))
 
+    # The losses over the machines, and their slopes
+    # ----------------------------------------------------------------------------------------------
+
     @cached_property
     def evaluation(self) -> tuple[Callable[[jax.Array], Evaluation], bool]:
-        """The training loss, and whether a program compiled for this processor computes it."""
-        return self._losses.evaluation()
+        """A function that evaluates the loss over the machines of the population at z (P,).
+
+        The second result is whether a program compiled for this processor does, see `native`.
+
+            value = risk(l_1, ..., l_S) + nominal terms
+            slope = sum_s (d risk / d l_s) (d l_s / d z) + slope of the nominal terms
+        """
+        of_machines, of_nominal = split(self.objective)
+        batch, nominal = self.population.batch(), self.population.machine
+        of_one = partial(self._slope_of_one, objective=of_machines)
+        z = jnp.asarray(self._weights.starts(1, 0.0, 0)[0])
+        runs = self.steps * self.starts * len(jax.tree.leaves(batch)[0]) * self.trials
+        over_machines, native = fastest(
+            of_one, z, batch, lanes=self._lanes_of(batch), steps=lambda: runs * self.task.N
+        )
+
+        def evaluate(z) -> Evaluation:
+            losses, slopes, good = repaired(*over_machines(z, batch), self.clip)
+            behind = jnp.min(losses) - 1.0  # where a machine without a slope takes no share of one
+            omega = self.risk.weights(jnp.where(good, losses, behind)) * good
+            omega = omega / jnp.where(jnp.sum(omega) > 0, jnp.sum(omega), 1.0)
+            value, gradient = self.risk(losses), omega @ slopes
+            residuals, jacobian = losses / len(losses) ** 0.5, slopes / len(losses) ** 0.5
+            if of_nominal.parts:
+                term, slope = jax.value_and_grad(
+                    lambda z: self.loss_of(nominal, self._weights.at(z), of_nominal)
+                )(z)
+                value, gradient = value + term, gradient + slope
+                residuals, jacobian = jnp.append(residuals, term), jnp.vstack([jacobian, slope])
+            dropped = jnp.sum(~good).astype(losses.dtype)
+            return Evaluation(value, gradient, residuals, jacobian, dropped)
+
+        return evaluate, native
+
+    def _lanes_of(self, batch) -> int:
+        """The lanes of `tiled` over a batch and, under `vmap`, over all starts."""
+        of_a_device = -(-len(batch[0]) // jax.device_count())
+        wide = usual_lanes() is None  # all machines of all starts in one tile, if they fit
+        lanes = self._lanes if wide else min(self._lanes, of_a_device)
+        return max(1, lanes // self.starts)
+
+    def _slope_of_one(self, z, one, *, objective: Objective):
+        """The loss of one machine of a batch at z (P,), and its slope."""
+
+        def loss(z, one):
+            return self._of_one(self._weights.at(z), one, objective, self.population)
+
+        return value_and_slope(loss, z, one, forward=self._forward)
+
+    def _of_one(self, values, one, objective: Objective, population: Population):
+        """The objective of one machine of a batch."""
+        machine, key = population.one_of(one)
+        return self.loss_of(machine, values, objective, key=key)
 
 
 def in_rounds(
@@ -464,124 +548,6 @@ def in_rounds(
     rounds = np.minimum(np.arange(-(-n // size) * size), n - 1).reshape(-1, size)
     results = [f({name: of[k] for name, of in rows.items()}) for k in rounds]
     return np.concatenate(results)[:n]
-
-
-# The losses over the machines, and their slopes
-# --------------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Losses:
-    """The losses of a tuning, with their slopes.
-
-    weights: those that are tuned, with their maps;  lanes: as many as it was chosen to have
-    """
-
-    of: Tuning
-    weights: Weights
-    lanes: int
-
-    def _lanes_of(self, batch) -> int:
-        """The lanes of `tiled` over a batch and, under `vmap`, over all starts."""
-        of_a_device = -(-len(batch[0]) // jax.device_count())
-        wide = usual_lanes() is None  # all machines of all starts in one tile, if they fit
-        lanes = self.lanes if wide else min(self.lanes, of_a_device)
-        return max(1, lanes // self.of.starts)
-
-    def of_machine(
-        self, machine: Machine, values: Mapping[str, Value], objective: Objective, *, key=None
-    ) -> jax.Array:
-        """() the objective of one machine, with these values of the weights by name."""
-        of = self.of
-        last = None if of.truncate is None else min(of.truncate, of.trials)
-        return judge(
-            machine, replaced(of.scheme, values), of.task, of.trials, objective,
-            key=key, ceiling=of.ceiling, save=Keep.of(of.quantities), last=last,
-        )  # fmt: skip
-
-    def risk_of(
-        self, values: Mapping[str, Value], objective: Objective, population: Population, first: int
-    ) -> jax.Array:
-        """() the risk over machines with these weights, plus the nominal terms."""
-        of_machines, of_nominal = split(objective)
-        batch = population.batch(first)
-        run = tiled(
-            lambda values, one: self._of_one(values, one, of_machines, population),
-            lanes=self._lanes_of(batch),
-        )
-        risk = self.of.risk(counted(run(values, batch)))
-        if not of_nominal.parts:
-            return risk
-        return risk + self.of_machine(population.machine, values, of_nominal)
-
-    def evaluation(self) -> tuple[Callable[[jax.Array], Evaluation], bool]:
-        """A function that evaluates the loss over the machines of the population at z (P,).
-
-        The second result is whether a program compiled for this processor does, see `native`.
-
-            value = risk(l_1, ..., l_S) + nominal terms
-            slope = sum_s (d risk / d l_s) (d l_s / d z) + slope of the nominal terms
-        """
-        of, (of_machines, of_nominal) = self.of, split(self.of.objective)
-        batch = of.population.batch()
-        of_one = partial(self._slope_of_one, objective=of_machines)
-        z = jnp.asarray(self.weights.starts(1, 0.0, 0)[0])
-        runs = of.steps * of.starts * len(jax.tree.leaves(batch)[0]) * of.trials
-        over_machines, native = fastest(
-            of_one, z, batch, lanes=self._lanes_of(batch), steps=lambda: runs * of.task.N
-        )
-
-        def evaluate(z) -> Evaluation:
-            losses, slopes, good = repaired(*over_machines(z, batch), of.clip)
-            behind = jnp.min(losses) - 1.0  # where a machine without a slope takes no share of one
-            omega = of.risk.weights(jnp.where(good, losses, behind)) * good
-            omega = omega / jnp.where(jnp.sum(omega) > 0, jnp.sum(omega), 1.0)
-            value, gradient = of.risk(losses), omega @ slopes
-            residuals, jacobian = losses / len(losses) ** 0.5, slopes / len(losses) ** 0.5
-            if of_nominal.parts:
-                nominal = of.population.machine
-                term, slope = jax.value_and_grad(
-                    lambda z: self.of_machine(nominal, self.weights.at(z), of_nominal)
-                )(z)
-                value, gradient = value + term, gradient + slope
-                residuals, jacobian = jnp.append(residuals, term), jnp.vstack([jacobian, slope])
-            dropped = jnp.sum(~good).astype(losses.dtype)
-            return Evaluation(value, gradient, residuals, jacobian, dropped)
-
-        return evaluate, native
-
-    def fitting_lanes(self) -> int:
-        """The lanes that suit the backend and fit with slopes, for all machines at each start.
-
-        Raises ValueError where a single machine does not fit on a device.
-        """
-        of = self.of
-        usual = usual_lanes(bytes_of_trial(of.scheme, of.task), backward=not self._forward)
-        if usual is not None:
-            return usual
-        of_one = partial(self._slope_of_one, objective=split(of.objective)[0])
-        batch, z = of.population.batch(), jnp.zeros(len(self.weights.start))
-        every = max(of.machines, of.held_out) * of.starts
-        return fitting_lanes(of_one, z, batch, every, held=every, what="Tuning")
-
-    def _slope_of_one(self, z, one, *, objective: Objective):
-        """The loss of one machine of a batch at z (P,), and its slope."""
-
-        def loss(z, one):
-            return self._of_one(self.weights.at(z), one, objective, self.of.population)
-
-        return value_and_slope(loss, z, one, forward=self._forward)
-
-    @property
-    def _forward(self) -> bool:
-        """Whether slopes are computed forward, which costs less for few weights."""
-        few = self.of.mode == "auto" and len(self.weights.bijections) <= FORWARD_UP_TO
-        return self.of.mode == "forward" or few
-
-    def _of_one(self, values, one, objective: Objective, population: Population):
-        """The objective of one machine of a batch."""
-        machine, key = population.one_of(one)
-        return self.of_machine(machine, values, objective, key=key)
 
 
 def split(objective: Objective) -> tuple[Sum, Sum]:
