@@ -156,14 +156,8 @@ class Campaign:
         need_kinds(scheme=scheme, task=task)
         journal = Journal(Path(path))
         last = journal.last_known()
-        campaign = cls(
-            journal,
-            scheme,
-            task,
-            actuator,
-            (rules or Rules()).checked(),
-            last["recipe"] if recipe is None else recipe,
-        )
+        recipe = last["recipe"] if recipe is None else recipe
+        campaign = cls(journal, scheme, task, actuator, (rules or Rules()).checked(), recipe)
         made = "started with another configuration"
         then = "; go on with that one, or start a campaign in another folder"
         need_same(path, as_json(last["configuration"]), campaign.configuration, made, then)
