@@ -17,7 +17,7 @@ from pathlib import Path
 
 from ..outcomes.outcome import Console
 
-PIPED_WIDTH = 160  # columns of output that does not go to a terminal
+PIPED_WIDTH = 160  # columns of output that does not go to a terminal, where COLUMNS tells none
 WORTH_A_LINE = 0.05  # seconds of compiling or loading a program from which on it is logged
 PLAIN = {"∞": "inf", "µ": "u", "μ": "u", "−": "-", "–": "-", "±": "+-", "°": "deg", "²": "^2",
          "√": "sqrt ", "ω": "omega"}  # fmt: skip
@@ -47,7 +47,8 @@ for stream in (sys.stdout, sys.stderr):
     if isinstance(stream, io.TextIOWrapper):
         stream.reconfigure(errors="jaxilc")
 
-out = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
+wide = not (sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdecimal())
+out = Console(width=PIPED_WIDTH if wide else None)
 err = Console(stderr=True)
 
 

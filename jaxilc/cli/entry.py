@@ -23,6 +23,10 @@ from .hardware import SETTINGS, Refused, next_, trials
 from .options import DESIGN, MACHINE, PROVE, SIMULATE, Commands, command_of, figures_as, of_list
 
 LONGEST = 2000  # characters of the message of an error
+WITHOUT_DOCSTRINGS = (
+    "python -OO drops docstrings, by which help explains options and tables have their units; -O "
+    "keeps them"
+)
 LONG_WORD = re.compile(r"(\S{60})\S{200,}(\S{40})")  # such as a value that was given by mistake
 # What is allowed in place of a value that Typer could not read, by the name of its error.
 NO_VALUE = {
@@ -138,6 +142,8 @@ def main() -> None:
     measured trial that is refused gives exit code 3. A warning of the library is one line, too.
     """
     warnings.showwarning = cast(Any, _in_one_line)
+    if sys.flags.optimize > 1:
+        warn("warning: " + WITHOUT_DOCSTRINGS)
     gc.set_threshold(200_000, 20, 100)  # tracing makes many objects, few of them in circles
     try:
         words = sys.argv[1:] or ["--help"]

@@ -33,6 +33,7 @@ from typer.testing import CliRunner
 import jaxilc
 from jaxilc import outcomes
 from jaxilc.cli import app, console, main, present, progress
+from jaxilc.cli.entry import WITHOUT_DOCSTRINGS
 from jaxilc.cli.hardware import OF_CAMPAIGN
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE, Pages
 from jaxilc.outcomes import Request, demonstrating, running, sweeping
@@ -55,7 +56,7 @@ LEARNER = p_type(0.5)
 PLAIN = {
     name: value
     for name, value in os.environ.items()
-    if name not in ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "NO_COLOR")
+    if name not in ("FORCE_COLOR", "PY_COLORS", "GITHUB_ACTIONS", "NO_COLOR", "COLUMNS")
 }
 PROGRAM = (sys.executable, "-m", "jaxilc")
 COLOUR = re.compile("\x1b\\[[0-9;]*3[0-7]")
@@ -572,6 +573,21 @@ def started(*words, **environment):
     return subprocess.run(
         [*PROGRAM, *words], capture_output=True, text=True, env=PLAIN | environment
     )
+
+
+def test_a_pipe_is_as_wide_as_columns_tell():
+    for more, width in (({}, 160), ({"COLUMNS": "70"}, 70)):
+        out = started("list", **more).stdout
+        *lines, _ = out.splitlines()  # the last one is a command, to be copied
+        assert max(map(len, lines)) <= width
+        assert (max(map(len, lines)) > 70) == (width > 70)
+
+
+def test_python_without_docstrings_is_told_what_it_lacks():
+    for flag, said in (("-O", ""), ("-OO", f"warning: {WITHOUT_DOCSTRINGS}\n")):
+        line = [sys.executable, flag, "-m", "jaxilc", "--version"]
+        done = subprocess.run(line, capture_output=True, text=True)
+        assert (done.returncode, done.stderr) == (0, said)
 
 
 @pytest.mark.parametrize("closed", ["<&- 2>&-", "<&- >&- 2>&-"])
