@@ -40,7 +40,6 @@ from .interpreter import carried_out, known
 if TYPE_CHECKING:
     from ..runtime.jax_internals import ClosedJaxpr, Jaxpr
 
-MOST = 64  # rows that are picked one by one
 LARGEST_DENSE = 16  # prime factor of the length of a transform up to which its matrix is stored
 # why a step that remains is refused
 REASONS = {
@@ -165,7 +164,7 @@ class _Writer(Lowering):
         """A step that moves numbers to places: a table where these are known, else one row."""
         places = ins[1]
         if not isinstance(places, Const):
-            return self.traced(partial(_at_place, step), ins)
+            return self.traced(partial(_at_places, step), ins)
         shape, dtype = ins[0].shape, ins[0].dtype
         found = places_of(step, shape, places.array, ins[-1].shape)
         if step.name == "gather":
@@ -299,28 +298,43 @@ def _convolved(step: Step, x: Array, kernel: Array) -> Array:
     return lax.scan(add, jnp.zeros(shape, x.dtype), jnp.arange(taps, dtype=jnp.int32))[0]
 
 
-def _at_place(step: Step, *given: Array) -> Array:
-    """One row read from, or written to, a place that is known while the law runs."""
-    numbers, operand, places = step.params["dimension_numbers"], given[0], given[1]
-    shape, sizes = step.outs[0].shape, step.params.get("slice_sizes", ())
-    take = partial(lax.dynamic_slice, allow_negative_indices=False)
-    if step.name == "gather" and not numbers.operand_batching_dims:
-        if len(numbers.start_index_map) == operand.ndim and places.ndim == 1:
-            where = [0 * places[0]] * operand.ndim
-            for i, axis in enumerate(numbers.start_index_map):
-                where[axis] = places[i]
-            return take(operand, where, sizes).reshape(shape)
-        (axis, *others), rows = numbers.start_index_map, places.reshape(-1)
-        whole = all(n == m for i, (n, m) in enumerate(zip(sizes, operand.shape, strict=True))
-                    if i != axis)  # fmt: skip
-        if not others and whole and sizes[axis] == 1 and places.ndim == 2 and len(rows) <= MOST:
-            at = [[rows[k] if i == axis else 0 * rows[k] for i in range(operand.ndim)]
-                  for k in range(len(rows))]  # fmt: skip
-            found = jnp.concatenate([take(operand, one, sizes) for one in at], axis=axis)
-            (batch,) = set(range(len(shape))) - set(map(int, numbers.offset_dims))
-            kept = int(axis) in map(int, numbers.collapsed_slice_dims)
-            return jnp.moveaxis(found, axis, batch) if kept else found.reshape(shape)
-    raise Unknown(f"{step.name} at several places that are found while it runs")
+def _at_places(step: Step, operand: Array, places: Array, *_: Array) -> Array:
+    """Parts read at places that are known while the law runs, one after another.
+
+    Places beyond the end are moved to it, or read the value that fills, as the step says.
+    """
+    of, shape = step.params, step.outs[0].shape
+    if step.name != "gather" or of["dimension_numbers"].operand_batching_dims:
+        raise Unknown(f"{step.name} at several places that are found while it runs")
+    numbers, sizes = of["dimension_numbers"], of["slice_sizes"]
+    axes = numbers.start_index_map
+    last = np.array([operand.shape[axis] - sizes[axis] for axis in axes])
+
+    def part(place: Array) -> Array:
+        where = [0 * place[0]] * operand.ndim
+        for i, axis in enumerate(axes):
+            where[axis] = place[i]
+        found = lax.dynamic_slice(operand, where, sizes, allow_negative_indices=False)
+        if of["mode"] == lax.GatherScatterMode.FILL_OR_DROP:
+            inside = jnp.all((place >= 0) & (place <= last))
+            found = jnp.where(inside, found, _filling(of["fill_value"], found.dtype))
+        return found.reshape(
+            [n for i, n in enumerate(sizes) if i not in numbers.collapsed_slice_dims]
+        )
+
+    if places.ndim == 1:
+        return part(places)
+    found = lax.map(part, places.reshape(-1, len(axes)))
+    found = found.reshape(*places.shape[:-1], *found.shape[1:])
+    batch = [i for i in range(len(shape)) if i not in numbers.offset_dims]
+    return jnp.transpose(found, np.argsort([*batch, *numbers.offset_dims]).tolist())
+
+
+def _filling(value: float | None, dtype: np.dtype) -> float:
+    """What is read beyond the end where nothing else is said, as JAX has it."""
+    if value is not None or dtype.kind in "fb":
+        return np.nan if value is None else value
+    return np.iinfo(dtype).min if dtype.kind == "i" else np.iinfo(dtype).max
 
 
 # Complex numbers

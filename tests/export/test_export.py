@@ -113,7 +113,8 @@ class OfLastRise(PIDType):
     def learn(self, memory, trial):
         ((name, u), (nothing, empty)), e = memory.items(), trial.e[1:]
         last = jnp.max(jnp.where(e[1:] > e[:-1], jnp.arange(1, len(e))[:, None], -1))
-        table = jnp.interp(e[0, 0], jnp.array([-0.2, 0.0, 0.4]), jnp.array([0.1, 0.0, 0.3]))
+        table = jnp.interp(e, jnp.array([-0.2, 0.0, 0.4]), jnp.array([0.1, 0.0, 0.3]))
+        table += u.at[last + 5].get(mode="fill", fill_value=0.1)
         bent = jnp.where(e > 0.5, jnp.tanh(e), jnp.sin(e + 0.1 * jnp.abs(u))) + table
         powers = sum(0.1 * bent**i for i in range(1)) + 0.01 * (last // 2 % 3 + (~last & 5))
         u = jnp.where(jnp.arange(len(e))[:, None] > last, powers, u)
@@ -269,6 +270,20 @@ def test_a_table_is_searched_for_any_number_as_numpy_does(side):
     program = program_of(lambda x: jnp.searchsorted(at, x, side=side), 0.0)
     for x in (-np.inf, -1.0, -0.5, -0.0, 0.0, 1.9, 2.0, np.inf, np.nan):
         assert interpret(program, [np.asarray(x)]) == [np.searchsorted(at, x, side)]
+
+
+def test_a_table_is_read_at_any_places_as_jax_reads_it():
+    """Where JAX gives NaN beyond the end, the last entry was read, and 65 places were refused."""
+    rng = np.random.default_rng(0)
+    table, at = jnp.asarray(rng.normal(size=(4, 5))), rng.integers(-9, 9, (2, 35))
+
+    def read(i):
+        ends = [jnp.take(table, i, axis=1), jnp.take(table[0], i[0, 1]), table[i[0, 0], i[0, 1]]]
+        filled = [x.at[i].get(mode="fill") for x in (table, jnp.arange(5), table[0] > 0)]
+        return [*ends, *filled, table[:, i], jnp.interp(i / 3.0, jnp.arange(5.0), table[0])]
+
+    for found, wanted in zip(interpret(program_of(read, at), [at]), read(at), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-14)
 
 
 def test_a_learning_filter_with_segments_is_exported():
