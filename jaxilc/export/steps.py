@@ -311,7 +311,7 @@ def _at_places(step: Step, operand: Array, places: Array, *_: Array) -> Array:
     last = np.array([operand.shape[axis] - sizes[axis] for axis in axes])
 
     def part(place: Array) -> Array:
-        where = [0 * place[0]] * operand.ndim
+        where = [jnp.zeros((), place.dtype)] * operand.ndim
         for i, axis in enumerate(axes):
             where[axis] = place[i]
         found = lax.dynamic_slice(operand, where, sizes, allow_negative_indices=False)
