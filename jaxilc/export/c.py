@@ -58,6 +58,11 @@ def field_name(name: str) -> str:
     return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
 
 
+def plain(text: str) -> str:
+    """A text that neither ends a comment nor begins another."""
+    return text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
+
+
 class Printed(NamedTuple):
     """The lines of a function, the lines of its tables, and the room it needs by type."""
 
@@ -65,22 +70,53 @@ class Printed(NamedTuple):
     tables: list[str]
     work: dict[str, int]
 
-
-def printed(function: Function, *, single: bool) -> Printed:
-    """The body of a function; raises Unknown for what C cannot hold."""
-    body = _InC(function.name, single)
-    body.function(function)
-    if "code" in function.outs:
-        body.lines = ["    int code;", *body.lines, "    return code;"]
-        body.blocks = [(a + 1, b + 1) for a, b in body.blocks]
-    return body.printed()
+    def under(self, head: str, before: Sequence[str] = ()) -> str:
+        """The text of the function behind its tables, with lines before those of its body."""
+        return "\n".join([*self.tables, head, "{", *before, *self.lines, "}", ""])
 
 
-def started(fields: Mapping[str, Field], *, single: bool) -> Printed:
-    """The body of a function that sets the fields to what they are at first."""
-    body = _InC("start", single)
-    body.start(fields)
-    return body.printed()
+class Code:
+    """A law or a plant in C: the struct of its fields, and its functions.
+
+    start: the function that sets the fields, and what is in `also`, to what they are at first
+    functions: the others, by name;  work: the room that they share, by type
+    Raises Unknown for what C cannot hold.
+    """
+
+    def __init__(self, fields: Mapping[str, Field], functions: Sequence[Function], *,
+                 single: bool, also: Mapping[str, Field] | None = None):  # fmt: skip
+        if len({*map(field_name, fields)}) < len(fields):
+            raise Unknown("two fields have one name in C")
+        self.fields, self.single = fields, single
+        start = _InC("start", single)
+        start.start({**fields, **(also or {})})
+        self.start = start.printed()
+        self.functions = {one.name: _InC(one.name, single).whole(one) for one in functions}
+        self.work: dict[str, int] = {}
+        for kind, size in (of for body in self.functions.values() for of in body.work.items()):
+            self.work[kind] = max(self.work.get(kind, 0), size)
+
+    @property
+    def members(self) -> str:
+        """The lines of the struct."""
+        lines = []
+        for name, of in self.fields.items():
+            if not of.first.size:  # C has no arrays without elements
+                continue
+            size = "" if of.first.size == 1 else f"[{of.first.size}]"
+            said = [str(of.first.shape)] if of.first.size > 1 else []
+            said += [f"[{plain(of.unit)}]"] if of.unit else []
+            told = f"  /* {' '.join(said)} */" if said else ""
+            lines.append(f"    {type_of(of.first.dtype)} {field_name(name)}{size};{told}")
+        lines += [f"    {kind} work_{kind}[{room}];" for kind, room in self.work.items()]
+        return "\n".join(lines)
+
+    @property
+    def bytes(self) -> int:
+        """The bytes of the struct, without what C pads."""
+        sizes = {REAL: 4 if self.single else 8, "bool": 1, "int64_t": 8}
+        kept = [(type_of(of.first.dtype), of.first.size) for of in self.fields.values()]
+        return sum(sizes.get(kind, 4) * int(n) for kind, n in (*kept, *self.work.items()))
 
 
 class _InC(Body):
@@ -92,6 +128,13 @@ class _InC(Body):
         self.lines_of_tables: list[str] = []
         self.blocks: list[tuple[int, int]] = []  # lines of loops that are in no other
         self.arrays: dict[str, tuple[str, int]] = {}  # by name, type and size
+
+    def whole(self, function: Function) -> Printed:
+        self.function(function)
+        if "code" in function.outs:
+            self.lines = ["    int code;", *self.lines, "    return code;"]
+            self.blocks = [(a + 1, b + 1) for a, b in self.blocks]
+        return self.printed()
 
     def type_of(self, dtype: DTypeLike) -> str:
         return type_of(dtype)

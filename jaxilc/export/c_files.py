@@ -15,11 +15,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..native.operations import TOGETHER, elementwise
-from ..native.program import Program, Step, Unknown
+from ..native.program import Program, Step
 from ..signals.task import Task
 from . import guard
-from .c import REAL, Printed, field_name, number, printed, started, table, type_of
-from .law import Field, Law, said_of_scheme
+from .c import REAL, Code, field_name, number, plain, table
+from .law import Law, said_of_scheme
 from .printer import wrapped
 
 WRONG_THREAD = -1  # the code of a component of HAL in a thread of another period
@@ -65,31 +65,25 @@ static inline uint32_t law_to_uint32_t(law_real x)
 
 
 def files_of(law: Law, about: Sequence[str], digest: str, trials: Sequence[np.ndarray], *,
-             single: bool = False) -> dict[str, str]:  # fmt: skip
+             single: bool = False, code: Code | None = None) -> dict[str, str]:  # fmt: skip
     """The texts of the files by their names.
 
     trials: outputs (N+1, n_y) of the trials of the test program
     single: whether numbers are `float` in place of `double`
+    code: of the law, where it is known already
     """
-    names = [field_name(name) for name in law.fields]
-    if len({*names}) < len(names):
-        raise Unknown("two fields of the law have one name in C")
-    bodies = {one.name: printed(one, single=single) for one in law.functions}
+    code = code or Code(law.fields, law.functions, single=single)
     said = comment_of([*about, f"certificate {digest}"])
     return {
-        "law.h": said + _header(law, bodies, digest, single),
-        "law.c": said + _source(law, bodies, digest, single),
-        "law_test.c": said + _test(law, trials, single),
+        "law.h": said + _header(law, code, digest),
+        "law.c": said + _source(law, code, digest),
+        "law_test.c": said + _test(law, trials, code.single),
     }
 
 
 def comment_of(lines: Sequence[str]) -> str:
-    short = (f" * {line}\n".replace(" \n", "\n") for line in wrapped(map(_plain, lines)))
+    short = (f" * {line}\n".replace(" \n", "\n") for line in wrapped(map(plain, lines)))
     return "/*\n" + "".join(short) + " */\n"
-
-
-def _plain(text: str) -> str:
-    return text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
 
 
 def cost(program: Program) -> int:
@@ -110,28 +104,11 @@ def _cost(step: Step) -> int:
     return size if elementwise(step.name) else 0
 
 
-def bytes_of(law: Law, *, single: bool = False) -> int:
-    """The bytes of RAM that the law needs, its work space included, without what C pads."""
-    bodies = [printed(one, single=single) for one in law.functions]
-    sizes = {"law_real": 4 if single else 8, "bool": 1, "int64_t": 8}
-    kept = sum(x.first.size * sizes.get(type_of(x.first.dtype), 4) for x in law.fields.values())
-    return int(kept + sum(n * sizes.get(kind, 4) for kind, n in _work(bodies).items()))
-
-
-def _work(bodies: Sequence[Printed]) -> dict[str, int]:
-    work: dict[str, int] = {}
-    for body in bodies:
-        for kind, size in body.work.items():
-            work[kind] = max(work.get(kind, 0), size)
-    return work
-
-
-def _header(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) -> str:
+def _header(law: Law, code: Code, digest: str) -> str:
     task = law.task
-    members = members_of(law.fields, _work([*bodies.values()]))
     codes = "".join(f"    LAW_{name} = {i}, /* {said} */\n" for i, (name, said) in enumerate(
         zip(guard.CODES, guard.MEANINGS, strict=True)))  # fmt: skip
-    limits = ", ".join(number(x, float, single) for x in law.limit)
+    limits = ", ".join(number(x, float, code.single) for x in law.limit)
     begun = "".join(f"/* {MEANING[name]} */\n{head};\n\n" for name, head in HEADS.items())
     return f"""#ifndef LAW_H
 #define LAW_H
@@ -139,13 +116,13 @@ def _header(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) 
 #include <stdbool.h>
 #include <stdint.h>
 
-typedef {"float" if single else "double"} law_real;
+typedef {"float" if code.single else "double"} law_real;
 
 #define LAW_SAMPLES {task.N} /* inputs of a trial; it has one output more */
-#define LAW_INPUTS {task.inputs} /* [{_plain(task.input_unit) or "1"}] */
-#define LAW_OUTPUTS {task.outputs} /* [{_plain(task.unit) or "1"}] */
-#define LAW_SAMPLE_TIME {number(task.dt, float, single)} /* [s] */
-#define LAW_LIMIT {{ {limits} }} /* largest |u| [{_plain(task.input_unit) or "1"}] */
+#define LAW_INPUTS {task.inputs} /* [{plain(task.input_unit) or "1"}] */
+#define LAW_OUTPUTS {task.outputs} /* [{plain(task.unit) or "1"}] */
+#define LAW_SAMPLE_TIME {number(task.dt, float, code.single)} /* [s] */
+#define LAW_LIMIT {{ {limits} }} /* largest |u| [{plain(task.input_unit) or "1"}] */
 #define LAW_CERTIFICATE "{digest}"
 
 /* What law_end tells. After a refusal the input of the last good trial is played again. */
@@ -156,7 +133,7 @@ enum law_code {{
  * both of the last trial that was not refused, and the trials they were learned from; within and
  * record: of this trial; seen: what the guard remembers; work: room for intermediate results. */
 typedef struct {{
-{chr(10).join(members)}
+{code.members}
 }} law;
 
 /* Once, before the first trial. */
@@ -166,46 +143,27 @@ void law_start(law *l);
 """
 
 
-def members_of(fields: Mapping[str, Field], work: Mapping[str, int]) -> list[str]:
-    """The lines of a struct: the fields, and the work space by type."""
-    members = []
-    for name, of in fields.items():
-        if not of.first.size:  # C has no arrays without elements
-            continue
-        size = "" if of.first.size == 1 else f"[{of.first.size}]"
-        said = [str(of.first.shape)] if of.first.size > 1 else []
-        said += [f"[{_plain(of.unit)}]"] if of.unit else []
-        told = f"  /* {' '.join(said)} */" if said else ""
-        members.append(f"    {type_of(of.first.dtype)} {field_name(name)}{size};{told}")
-    return members + [f"    {kind} work_{kind}[{room}];" for kind, room in work.items()]
-
-
-def _source(law: Law, bodies: Mapping[str, Printed], digest: str, single: bool) -> str:
+def _source(law: Law, code: Code, digest: str) -> str:
     parts = ['#include "law.h"\n\n#include <math.h>\n']
-    parts.append(f"#define LAW_F(name) {'name##f' if single else 'name'}\n")
+    parts.append(f"#define LAW_F(name) {'name##f' if code.single else 'name'}\n")
     parts.append(f'const char law_certificate[] = "{digest}";\n{OWN}')
     for name, text in said_of_scheme(law.scheme, law.task):
         parts.append(comment_of([name, *map(str.rstrip, text.split("\n"))]))
-    parts.append(function_of("void law_start(law *l)", started(law.fields, single=single)))
-    for name, body in bodies.items():
-        operations_ = cost(next(f.program for f in law.functions if f.name == name))
-        about = [MEANING[name], f"At most {operations_} operations on numbers."]
+    parts.append(code.start.under("void law_start(law *l)"))
+    programs = {function.name: function.program for function in law.functions}
+    for name, body in code.functions.items():
+        about = [MEANING[name], f"At most {cost(programs[name])} operations on numbers."]
         unused = [
             f"    (void) {x};"
             for x in ("k", "y", "l")
             if x in _words(HEADS[name]) and x not in _words("\n".join(body.lines))
         ]
-        parts.append(comment_of(about) + function_of(HEADS[name], body, unused))
+        parts.append(comment_of(about) + body.under(HEADS[name], unused))
     return "\n" + "\n".join(parts)
 
 
 def _words(text: str) -> set[str]:
     return set(re.findall(r"\w+", text))
-
-
-def function_of(head: str, body: Printed, before: Sequence[str] = ()) -> str:
-    """The text of a function behind its tables, with lines before those of its body."""
-    return "\n".join([*body.tables, head, "{", *before, *body.lines, "}", ""])
 
 
 # The test program

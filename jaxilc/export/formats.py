@@ -10,7 +10,8 @@ import numpy as np
 from ..learning.machine import Machine
 from ..native.program import Unknown
 from . import fmu, st
-from .c_files import bytes_of, files_of, hal_component
+from .c import Code
+from .c_files import files_of, hal_component
 from .law import Law
 from .plant import files_of_plant, model_of
 
@@ -52,8 +53,8 @@ class Format(NamedTuple):
 
 def _c(asked: Asked) -> Made:
     law, about, digest, trials = asked.law, asked.about, asked.digest, asked.trials
-    files = files_of(law, about, digest, trials, single=asked.single)
-    return Made({**files}, bytes_of(law, single=asked.single))
+    code = Code(law.fields, law.functions, single=asked.single)
+    return Made({**files_of(law, about, digest, trials, code=code)}, code.bytes)
 
 
 def _fmu(asked: Asked) -> Made:

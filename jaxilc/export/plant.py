@@ -14,8 +14,8 @@ from ..native.program import Unknown
 from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.named_paths import named_leaves
 from ..signals.task import Task
-from .c import number, printed, started
-from .c_files import OWN, comment_of, function_of, members_of
+from .c import Code, number
+from .c_files import OWN, comment_of
 from .law import Field, Function
 from .steps import program_of
 
@@ -75,10 +75,8 @@ def model_of(machine: Machine, task: Task) -> Model:
 
 def files_of_plant(model: Model, about: Sequence[str]) -> dict[str, str]:
     """The texts of `plant.h` and `plant.c`."""
-    body, task = printed(model.step, single=False), model.task
-    members = members_of(model.fields, body.work)
-    members = members or ["    char nothing; /* the plant has no state */"]
-    said, newline = comment_of(about), "\n"
+    first, task, said = {"y": Field(model.first, "")}, model.task, comment_of(about)
+    code = Code(model.fields, [model.step], single=False, also=first)
     header = f"""{said}#ifndef PLANT_H
 #define PLANT_H
 
@@ -94,7 +92,7 @@ typedef double law_real;
 #define PLANT_SAMPLE_TIME {number(task.dt, float, False)} /* [s] */
 
 typedef struct {{
-{newline.join(members)}
+{code.members or "    char nothing; /* the plant has no state */"}
 }} plant;
 
 /* The plant at rest, and its output there. */
@@ -105,11 +103,10 @@ void plant_step(plant *l, const law_real u[PLANT_INPUTS], law_real y[PLANT_OUTPU
 
 #endif
 """
-    at_rest = started({**model.fields, "y": Field(model.first, "")}, single=False)
     head = "void plant_start(plant *l, law_real y[PLANT_OUTPUTS])"
-    start = function_of(head, at_rest, ["    (void) l;"])
+    start = code.start.under(head, ["    (void) l;"])
     head = "void plant_step(plant *l, const law_real u[PLANT_INPUTS], law_real y[PLANT_OUTPUTS])"
-    step = function_of(head, body, ["    (void) l;", "    (void) u;"])
+    step = code.functions["step"].under(head, ["    (void) l;", "    (void) u;"])
     source = f"""{said}
 #include "plant.h"
 

@@ -15,6 +15,7 @@ import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -472,17 +473,24 @@ class Body(ABC):
             yield dict(zip([i for i, n in sizes.items() if n != 1], index, strict=True))
 
     def of_gathered(self, step: Step, ins: list[View]) -> View:
-        """Numbers put together in order: for each of the kept axes, over the others."""
-        x, out, others = ins[0], step.outs[0], sorted(step.params["axes"])
-        sizes = dict(enumerate(x.shape))
-        over = {i: sizes.pop(i) for i in others}
+        x, sizes = ins[0], dict(enumerate(ins[0].shape))
+        over = {i: sizes.pop(i) for i in sorted(step.params["axes"])}
         if math.prod(over.values()) == 1 and step.name != "reduce_sum":
             return self.of_reshape(step, ins)
+        return self.gathered(TOGETHER[step.name], step.outs[0], sizes, over, partial(_at, x))
+
+    def gathered(self, how: str, out: Value, sizes: Mapping[int, int], over: Mapping[int, int],
+                 term: Callable[[dict[int, str]], str]) -> View:  # fmt: skip
+        """Numbers put together in order: for each of the kept axes, over the others.
+
+        sizes, over: lengths of these axes by their numbers
+        term: the number at a place along all of them
+        """
         to = None if math.prod(out.shape) == 1 else self.array(out.shape, out.dtype)
         with self.along(sizes) as outer:
-            total = self.total(TOGETHER[step.name], out.dtype)
+            total = self.total(how, out.dtype)
             with self.along(over) as inner:
-                self.line(self.more(TOGETHER[step.name], total, _at(x, outer | inner), out.dtype))
+                self.line(self.more(how, total, term(outer | inner), out.dtype))
             if to is not None:
                 self.line(self.assigned(_at(to, outer), total))
         return to or View(total, out.shape)
@@ -535,28 +543,21 @@ class Body(ABC):
     def of_dot_general(self, step: Step, ins: list[View]) -> View:
         (of_a, of_b), (batch_a, batch_b) = step.params["dimension_numbers"]
         (a, b), out = ins, step.outs[0]
-        to, batch = self.array(out.shape, out.dtype), range(len(batch_a))
         free_a = [i for i in range(len(a.shape)) if i not in (*of_a, *batch_a)]
         free_b = [i for i in range(len(b.shape)) if i not in (*of_b, *batch_b)]
         # by the axes of the operands, those of the result, or below zero those that are summed
         summed = {-1 - i: a.shape[axis] for i, axis in enumerate(of_a)}
-        axes_a = dict(zip((*batch_a, *free_a, *of_a),
-                          (*range(len(batch_a) + len(free_a)), *summed), strict=True))  # fmt: skip
-        axes_b = dict(zip((*batch_b, *free_b, *of_b),
-                          (*batch, *range(len(axes_a) - len(of_a), len(out.shape)), *summed),
-                          strict=True))  # fmt: skip
-        with self.along(dict(enumerate(out.shape))) as outer:
-            total = self.total("add", out.dtype)
-            with self.along(summed) as inner:
-                known = outer | inner
-                left, right = (
-                    _at(x, {i: known[of] for i, of in axes.items() if of in known})
-                    for x, axes in ((a, axes_a), (b, axes_b))
-                )
-                product = self.together("mul", left, right, out.dtype)
-                self.line(self.more("add", total, product, out.dtype))
-            self.line(self.assigned(_at(to, outer), total))
-        return to
+        first = range(len(batch_a) + len(free_a)), range(len(batch_b))
+        last = range(len(first[0]), len(out.shape))
+        axes_a = dict(zip((*batch_a, *free_a, *of_a), (*first[0], *summed), strict=True))
+        axes_b = dict(zip((*batch_b, *free_b, *of_b), (*first[1], *last, *summed), strict=True))
+
+        def product(at: dict[int, str]) -> str:
+            left, right = (_at(x, {i: at[of] for i, of in axes.items() if of in at})
+                           for x, axes in ((a, axes_a), (b, axes_b)))  # fmt: skip
+            return self.together("mul", left, right, out.dtype)
+
+        return self.gathered("add", out, dict(enumerate(out.shape)), summed, product)
 
     # Loops of the law
     # ----------------------------------------------------------------------------------------------
