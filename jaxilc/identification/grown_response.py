@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import scipy
@@ -28,6 +28,7 @@ from ..plants import ModalModel
 from ..plants.process_model import samples_of
 from ..pytree.aliases import Numbers
 from ..pytree.in_short import in_short
+from ..pytree.named_paths import get_at
 from ..pytree.ranges import require
 from ..theory.on_lines import MeasuredResponse
 from .problem import Projected, projected, searched, unit_columns
@@ -57,6 +58,7 @@ DAMPED = (1e-4, 30.0)  # that are looked for; from 1 on, a mode is two real pole
 BESIDE = 1e-7  # of damping 1, where the two poles of a mode coincide, in which 1 is not taken
 BELOW, ABOVE = 1 / 30, 4.0  # times the first and the last line, rates that are looked for
 SHARE = 0.95  # of half the sample rate, up to which rates are looked for
+Response: TypeAlias = tuple[tuple[str, ...], Numbers, Numbers]
 
 
 # Least squares of sums of parts on lines
@@ -207,13 +209,11 @@ def stacked(values: Numbers) -> Numbers:
     return np.concatenate([values.real, values.imag])
 
 
-def jacobian(at: Projected, parts: Parts, f: Numbers, dt: float | None) -> Numbers:
+def jacobian(theta: Numbers, N: Numbers, parts: Parts, f: Numbers, dt: float | None) -> Numbers:
     """(F, numbers) derivatives by what `values_of` answers, the delay last."""
-    d_theta = slopes(at.theta, parts, f, dt, at.N)
-    values = np.exp(at.theta[:-1])
-    scaled = np.append(values, 1.0)
-    d_numerators = columns(at.theta, parts, f, dt) / _units(parts)
-    return np.hstack([d_theta[:, :-1] / scaled[:-1], d_numerators, d_theta[:, -1:]])
+    d_theta = slopes(theta, parts, f, dt, N)
+    d_numerators = columns(theta, parts, f, dt) / _units(parts)
+    return np.hstack([d_theta[:, :-1] / np.exp(theta[:-1]), d_numerators, d_theta[:, -1:]])
 
 
 def _units(parts: Parts) -> Numbers:
@@ -249,6 +249,17 @@ def model_of(values: Numbers, parts: Parts) -> ModalModel:
     at_once = float(direct[0]) if parts.direct else None
     of_modes = w, zeta, modes[::2], modes[1::2]
     return ModalModel(p, R, *of_modes, once, twice, at_once, delay=float(delay[0]))
+
+
+def response_of(plant: ModalModel, f: Numbers, dt: float | None) -> Response:
+    """Names of the numbers (n) of a plant of one channel, (F,) response, (F, n) its derivatives."""
+    n, q = np.size(plant.poles), np.size(plant.frequencies)
+    parts = Parts(n, q, plant.order - n - 2 * q, plant.direct is not None)
+    names = names_of(parts)
+    values = np.array([*(np.squeeze(get_at(plant, name)) for name in names[:-1]), plant.delay])
+    rates, N = np.split(values[:-1], [n + 2 * q])
+    theta, N = np.append(np.log(rates), plant.delay), N / _units(parts)
+    return names, columns(theta, parts, f, dt) @ N, jacobian(theta, N, parts, f, dt)
 
 
 # The growth
@@ -549,7 +560,7 @@ def identified_response(
     values, names = values_of(at, parts), names_of(parts)
     fitted = len(names) - (delay is not None)
     names = names[:fitted]
-    J_of = jacobian(at, parts, growing.f, dt)[:, :fitted]
+    J_of = jacobian(at.theta, at.N, parts, growing.f, dt)[:, :fitted]
     J = J_of * problem.weights[:, None]
     P, known = columns(at.theta, parts, growing.f, dt) @ at.N, growing.scaled
     residual = at.left

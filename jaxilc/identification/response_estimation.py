@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias, cast
+from typing import NamedTuple, cast
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from ..plants import ModalModel, Plant, ProcessModel
+from ..plants import Plant, ProcessModel
 from ..plants.process_model import LONGEST_DELAY, cascade, samples_of
 from ..pytree.named_paths import get_at, replaced
 from ..pytree.ranges import SEEDS, require
@@ -33,7 +32,6 @@ from .problem import LARGEST, SAMPLES_PER_PARAMETER, Coordinates, Minimum, free_
 from .verdict import (
     CONFIDENCE,
     WHITE,
-    WIDE,
     Estimate,
     Identified,
     correlations,
@@ -426,15 +424,11 @@ def _scored(problem: ResponseProblem, plant: ProcessModel, delays):
     return left[best], dataclasses.replace(found, delay=float(delays[best]))
 
 
-# The response of a fitted plant, and its band
+# The response of a fitted plant
 # --------------------------------------------------------------------------------------------------
 
-Lines: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 # Of the complex step; the derivative is exact to rounding, since nothing is subtracted.
 STEP = 1e-30
-LINES, LOWEST = 400, 1e-4  # frequencies, and the lowest one as a share of the sample rate
-LATER = 1e-4  # samples, by which a delay is changed for its derivative
-MOST_SPREAD = 5.0  # standard deviation of log |P| that is told at most
 
 
 def counts_of(plant: ProcessModel) -> tuple[int, int, int]:
@@ -498,91 +492,3 @@ def _held(A, B, dt):
     block[:n, :n], block[:n, n:] = A * dt, B * dt
     transition = scipy.linalg.expm(block)
     return transition[:n, :n], transition[:n, n:]
-
-
-# The band
-# --------------------------------------------------------------------------------------------------
-
-
-class ResponseBand(NamedTuple):
-    """A frequency response with its 95 % band.
-
-    f:      (F,) frequencies [Hz]
-    P:      (F,) complex response
-    phase:  (F,) its phase without jumps [deg]
-    factor: (F,) the band is from |P| / factor to |P| factor; None where a parameter is not
-        determined by the record
-    half:   (F,) half of the band of the phase [deg]; None likewise
-    """
-
-    f: np.ndarray
-    P: np.ndarray
-    phase: np.ndarray
-    factor: np.ndarray | None
-    half: np.ndarray | None
-
-
-def response_band(identified: Identified, dt: float) -> ResponseBand:
-    """The response of the plant up to half of the sample rate, with its 95 % band.
-
-    With the covariance S of the parameters and the derivatives g of log P by them, the standard
-    deviations of log |P| and of the phase are those of Re(g)^T S Re(g) and Im(g)^T S Im(g).
-
-    dt: sample time of the record [s]
-    Raises ValueError for a plant that is not a `ProcessModel` or a `ModalModel` of one input and
-    one output.
-    """
-    plant = identified.plant
-    if not isinstance(plant, ProcessModel | ModalModel) or plant.n_u != 1 or plant.n_y != 1:
-        raise ValueError(
-            f"response_band: the plant is a {type(plant).__name__}; allowed is a ProcessModel or a "
-            "ModalModel of one input and one output"
-        )
-    f = np.geomspace(LOWEST / dt, 0.5 / dt, LINES)
-    if isinstance(plant, ModalModel):
-        P, g, S = _of_modes(identified, plant, dt, f)
-    else:
-        P, g, S = _of_process(identified, plant, dt, f)
-    phase = np.unwrap(np.angle(P)) * 180 / np.pi
-    if not np.all(np.isfinite(S)):
-        return ResponseBand(f, P, phase, None, None)
-    variances = [np.einsum("fi,ij,fj->f", part, S, part) for part in (g.real, g.imag)]
-    of_log, of_phase = np.sqrt(np.maximum(variances, 0))
-    factor = np.exp(WIDE * np.minimum(of_log, MOST_SPREAD))
-    return ResponseBand(f, P, phase, factor, WIDE * np.minimum(of_phase, np.pi) * 180 / np.pi)
-
-
-def _of_modes(identified: Identified, plant: ModalModel, dt: float, f: np.ndarray) -> Lines:
-    """(F,) P, (F, n) derivatives of log P by the fitted numbers, and (n, n) their covariance."""
-    values = {n: of.value for n, of in identified.parameters.items() if not n.startswith("bias")}
-    count, delay = len(values), values.pop("delay", None)
-    at = np.array([*values.values()]), tuple(values)
-    P, slopes = map(np.asarray, _sampled_response(*at, plant, dt, f))
-    if delay is not None:  # the last one, of which no compiled program can be a function
-        ends = delay + LATER * dt, max(delay - LATER * dt, 0.0)
-        late = (dataclasses.replace(plant, delay=end) for end in ends)
-        ahead, behind = (np.asarray(_sampled_response(*at, one, dt, f)[0]) for one in late)
-        slopes = np.column_stack([slopes, (ahead - behind) / (ends[0] - ends[1])])
-    return P, slopes / P[:, None], np.asarray(identified.covariance)[:count, :count]
-
-
-@functools.partial(jax.jit, static_argnames=("names", "dt"))
-def _sampled_response(values, names, plant, dt, f):
-    def at(values):
-        system = replaced(plant, dict(zip(names, values, strict=True))).sampled(dt)
-        z = jnp.exp(2j * jnp.pi * f * dt)[:, None, None]
-        P = system.C @ jnp.linalg.solve(z * jnp.eye(len(system.A)) - system.A, system.B + 0j)
-        return P[:, 0, 0]
-
-    return at(values), jax.jacfwd(at)(values)
-
-
-def _of_process(identified: Identified, plant: ProcessModel, dt: float, f: np.ndarray) -> Lines:
-    """The same, of a ProcessModel."""
-    names = (*free_elements(plant, None), "delay")
-    values = np.array([*(float(get_at(plant, name)) for name in names[:-1]), plant.delay])
-    P, slopes = response_and_slopes(values, counts_of(plant), f, dt)
-    known = [(k, names.index(n)) for k, n in enumerate(identified.parameters) if n in names]
-    rows, columns = (np.array(x, int) for x in zip(*known, strict=True))
-    covariance = np.asarray(identified.covariance)[np.ix_(rows, rows)]
-    return P, (slopes / P[:, None])[:, columns], covariance

@@ -15,7 +15,7 @@ from jaxilc.identification import (
 )
 from jaxilc.identification.grown_response import Parts
 from jaxilc.identification.problem import Projected
-from jaxilc.identification.response_estimation import response_band
+from jaxilc.identification.response_band import response_band
 from jaxilc.outcomes import identify
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.theory.on_lines import MeasuredResponse
@@ -56,7 +56,7 @@ def test_the_columns_are_those_of_the_plant_and_the_slopes_their_differences(par
     else:
         expected = held(plant, F, dt)
     np.testing.assert_allclose(found, expected, rtol=1e-10)
-    J = grown_response.jacobian(at, parts, F, dt)
+    J = grown_response.jacobian(at.theta, at.N, parts, F, dt)
     direction = np.random.default_rng(1).normal(size=len(values)) * 1e-6 * np.abs(values)
     n = parts.lags + 2 * parts.modes
     units = values[n:-1] / at.N
