@@ -64,13 +64,16 @@ def fit(
             raise ValueError(f"fit: the range ({low:g}, {high:g}) of {name} is empty")
     natural = _from_unit_cube(*(np.array([ranges[n][i] for n in names], float) for i in (0, 1)))
 
-    def of_unit(_, unit):
-        r = residuals(dict(zip(names, natural(unit), strict=True)))
-        # `least_squares` needs finite residuals everywhere.
-        return jnp.where(jnp.isfinite(r), r, 1e6)
+    def at(unit):
+        return residuals(dict(zip(names, natural(unit), strict=True)))
 
-    def cost(common, unit):
-        r = residuals(dict(zip(names, natural(unit), strict=True)))
+    @jax.jit
+    def value(unit):
+        r = at(unit)
+        return jnp.where(jnp.isfinite(r), r, 1e6)  # `least_squares` needs finite ones everywhere
+
+    def cost(_, unit):
+        r = at(unit)
         return jnp.where(jnp.all(jnp.isfinite(r)), 0.5 * jnp.sum(r**2), jnp.inf)
 
     scattered = qmc.LatinHypercube(len(names), rng=seed).random(starts)
@@ -80,16 +83,9 @@ def fit(
         raise ValueError(
             f"fit: none of {starts} starts within {dict(ranges)} gives finite residuals"
         )
-    value, slope = jax.jit(of_unit), jax.jit(jax.jacfwd(of_unit, argnums=1))
+    slope = jax.jit(jax.jacfwd(value))
     found = [
-        least_squares(
-            lambda u: np.asarray(value(0.0, u)),
-            scattered[i],
-            lambda u: np.asarray(slope(0.0, u)),
-            (0.0, 1.0),
-            max_nfev=60,
-        )
-        for i in order[:refine]
+        least_squares(value, scattered[i], slope, (0.0, 1.0), max_nfev=60) for i in order[:refine]
     ]
     best = min(found, key=lambda result: result.cost)
     return Fit(

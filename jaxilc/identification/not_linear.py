@@ -427,7 +427,7 @@ def friction_of(force, position, dt: float, *, cutoff: float | None = None) -> F
     every = max(1, int(0.25 / (cutoff * dt)))
     still, rings = ~moving, round(RINGS / (cutoff * dt))
     still[[0, -1]] = True  # the filter begins and ends there
-    away = ~_near(still, rings)
+    away = np.convolve(still, np.ones(2 * rings + 1), "same") < 0.5
     which = np.flatnonzero(away)[::every]
     if len(which) < LEAST_SAMPLES:
         raise ValueError(
@@ -448,8 +448,3 @@ def friction_of(force, position, dt: float, *, cutoff: float | None = None) -> F
 def _of_step(position: np.ndarray, dt: float, cutoff: float) -> float:
     """The power that the step of an encoder adds to an acceleration filtered at a cutoff [Hz]."""
     return _step(position) ** 2 / 12 * 2 * dt * (2 * np.pi) ** 4 * cutoff**5 / 5
-
-
-def _near(which: np.ndarray, samples: int) -> np.ndarray:
-    """The samples within so many of one that is chosen."""
-    return np.convolve(which, np.ones(2 * samples + 1), "same") > 0.5

@@ -147,9 +147,8 @@ def waves(x: Numbers, per: float, orders: tuple[int, ...], slope: bool = False) 
     found = []
     for i in orders:
         angle, k = 2 * np.pi * i * per * x, 2 * np.pi * i * x
-        found += (
-            [-k * np.sin(angle), k * np.cos(angle)] if slope else [np.cos(angle), np.sin(angle)]
-        )
+        cosine, sine = np.cos(angle), np.sin(angle)
+        found += [-k * sine, k * cosine] if slope else [cosine, sine]
     return np.stack(found, axis=1)
 
 

@@ -253,9 +253,8 @@ def minimum(problem, theta, **options) -> Minimum:
 
     def jacobian(x):
         theta = coordinates.to_values(x)
-        return (problem.sensitivity(theta) / scale[:, None]).reshape(
-            -1, len(theta)
-        ) * coordinates.slope(theta)
+        J = problem.sensitivity(theta) / scale[:, None]
+        return J.reshape(-1, len(theta)) * coordinates.slope(theta)
 
     options = {"ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12, "max_nfev": 200} | options
     found = scipy.optimize.least_squares(

@@ -125,14 +125,12 @@ class Identified(NamedTuple):
 def judged(problem: Problem, found: Minimum) -> Identified:
     """The result at the minimum, with its intervals, poles and tests of the residual."""
     theta, samples, y = found.theta, problem.samples, problem.record.y
+    n_y = problem.plant.n_y
     residual, J = problem.residual(theta), problem.sensitivity(theta) / problem.scale[:, None]
     of_start = 0 if problem.from_rest else problem.parameters_of_start(theta)
-    freedom = samples * problem.plant.n_y - of_start - len(theta)
-    covariance = (
-        np.sum((residual[:samples] / problem.scale) ** 2)
-        / freedom
-        * inverse_of_normal(J.reshape(-1, len(theta)))
-    )
+    freedom = samples * n_y - of_start - len(theta)
+    power = np.sum((residual[:samples] / problem.scale) ** 2) / freedom
+    covariance = power * inverse_of_normal(J.reshape(-1, len(theta)))
     whiteness = whiteness_of(residual[:samples])
     plain = np.diag(covariance)
     covariance = widened(covariance, J, residual[:samples] / problem.scale)
@@ -142,14 +140,12 @@ def judged(problem: Problem, found: Minimum) -> Identified:
     wide = scipy.special.stdtrit(np.maximum(freedom * share, 2.0), 0.5 + CONFIDENCE / 2)
     half = wide * np.sqrt(variance)
     wide = wide / scipy.special.ndtri(0.5 + CONFIDENCE / 2)
-    biases = (
-        ["bias"] if problem.plant.n_y == 1 else [f"bias[{i}]" for i in range(problem.plant.n_y)]
-    )
+    biases = ["bias"] if n_y == 1 else [f"bias[{i}]" for i in range(n_y)]
     modelled = isinstance(problem.plant, ProcessModel | ModalModel)
     spread = covariance * np.outer(wide, wide)
     poles = poles_of(problem.plant, problem.names, theta, spread) if modelled else ()
     fit = fit_of(y[:samples], residual[:samples])
-    std = np.sqrt(np.sum(residual[:samples] ** 2, axis=0) * problem.plant.n_y / freedom)
+    std = np.sqrt(np.sum(residual[:samples] ** 2, axis=0) * n_y / freedom)
     error = np.where(fit > GOOD, NOISE * std, 0.0)
     noise = np.minimum(error, NOISE * unforeseen(residual[:samples]))
     return Identified(
@@ -325,11 +321,8 @@ def poles_of(plant: Plant, names, theta, covariance) -> tuple[PoleEstimate, ...]
         std = np.sqrt(np.diag(covariance))
         unit = np.where(std > 0, std, 1.0)  # an exact fit has no spread
         size, directions = np.linalg.eigh(covariance / np.outer(unit, unit))
-        draws = (
-            np.random.default_rng(0).normal(size=draws.shape)
-            @ (directions * np.sqrt(np.maximum(size, 0.0))).T
-            * std
-        )
+        root = directions * np.sqrt(np.maximum(size, 0.0))
+        draws = np.random.default_rng(0).normal(size=draws.shape) @ root.T * std
     poles = np.asarray(
         poles_at(theta[which] + np.vstack([np.zeros(len(which)), draws]), names, plant)
     )

@@ -547,23 +547,19 @@ def grown_table(grown: Grown) -> Table:
 
 
 def orders_table(orders: Sequence[Order], best: Order, dt: float | None = None) -> Table:
-    """The table of the structures with the smallest criterion, of which the best one is marked.
+    """The table of the structures that were compared, of which the best one is marked.
 
     rms is that of the residual in the unit of the output; of a frequency response, divided by the
     standard deviation of each line. A delay is in samples of dt, or else in ms.
     """
     of_response = best.found.of_response
     delayed = any(_delay(one.found.plant) > 0 for one in orders)
-    shown = list(orders)
-    if len(shown) > MOST_ORDERS:
-        shown = sorted(shown, key=lambda one: one.bic)[:MOST_ORDERS]
-    count = f"{len(shown)} of {len(orders)} " if len(shown) < len(orders) else ""
-    title = f"{count}structures by BIC, above the smallest ({best.bic:.1f})"
+    title = f"structures by BIC, above the smallest ({best.bic:.1f})"
     delay = ("delay" if dt else "delay [ms]",) * delayed
     last = () if of_response else ("valid. [%]",)
     rms = "rms / std" if of_response else "rms"
     table = Table(right=("poles", "pairs", "zeros", *delay, rms, "BIC", *last, ""), title=title)
-    for one in shown:
+    for one in orders:
         counts = (one.poles, one.pairs, one.zeros)
         late = (f"{_delay(one.found.plant) / (dt or 1e-3):.4g}",) * delayed
         values = (f"{one.rms:.4g}", f"{one.bic - best.bic:+.1f}")
