@@ -48,6 +48,8 @@ HIGHEST = 24  # order that is looked for
 PATIENCE = 3  # orders without a smaller criterion, after which growing ends
 LAGS = 60  # of the difference equation that is reduced
 SAMPLED = 2000  # rows of a record that decide between parts of the grid
+LONG_RECORD, PART = 100_000, 30_000  # samples: of a longer one a part compares; the least of it
+HELD, BANDS, POWER = 0.1, 24, 1e-3  # share of its power, in each band with so much of the mean
 GRID, DAMPINGS = 48, (0.01, 0.1, 0.7)  # rates and dampings of the parts that are tried
 DELAYS = (0, 1, 2, 3, 5, 8, 13, 21, 34)  # samples, at which a search may begin
 MODERATE = (4, 8)  # orders by which it is decided at which
@@ -148,6 +150,31 @@ class Signals(NamedTuple):
         experiments = -(-self.samples // n)
         return self._replace(u=self.u[:, :experiments], y=self.y[: self.samples])
 
+    def part(self) -> Signals:
+        """A first part of what is fitted, whose input has all frequencies; of a short record all.
+
+        It is the shortest one, from `PART` samples on, whose power is `HELD` of that of the whole
+        in each band: the beginning of a slow sweep says nothing of a fast mode.
+        """
+        if self.samples <= LONG_RECORD:
+            return self
+        samples, whole = PART, _densities(self.u)
+        needed = HELD * np.where(whole > POWER * np.mean(whole, axis=0), whole, 0.0)
+        while samples < self.samples:
+            some = self._replace(samples=samples).first()
+            if np.all(_densities(some.u) >= needed):
+                return some
+            samples *= 2
+        return self
+
+
+def _densities(u: Numbers) -> Numbers:
+    """(BANDS + 1, n_u) mean power of inputs by frequency."""
+    flat = u.reshape(len(u), -1)
+    power = np.abs(np.fft.rfft(flat - np.mean(flat, axis=1, keepdims=True))) ** 2 / flat.shape[1]
+    edges = np.geomspace(4 * BANDS / PART, 0.5, BANDS + 1)[:-1] * flat.shape[1]
+    return np.stack([np.mean(of, axis=1) for of in np.split(power, edges.astype(int), axis=1)])
+
 
 class Fitted(NamedTuple):
     """Parts with the least squares of their numerators.
@@ -155,12 +182,14 @@ class Fitted(NamedTuple):
     cost: sum of squares of the residual of the fitted part, of each output divided by its scale
     bic: Bayesian information criterion, see `information`
     parameters: number of numbers that were fitted
+    percent: fit of the fitted part [%], over all outputs
     """
 
     parts: Parts
     cost: float
     bic: float
     parameters: int
+    percent: float
 
 
 def denominator(w: float, zeta: float, dt: float) -> Numbers:
@@ -226,9 +255,7 @@ def slopes(signals: Signals, parts: Parts, N: Numbers) -> Numbers:
         moved = [delayed(again, k).reshape(len(again), -1)[:, : len(own)].T for k in (1, 2)]
         q = len(parts.modes)
         if i < q:
-            for k in range(2):
-                step = np.zeros(2)
-                step[k] = 1e-6
+            for k, step in enumerate(1e-6 * np.eye(2)):
                 ends = [
                     denominator(*np.exp(parts.modes[i] + s * step), signals.dt) for s in (1, -1)
                 ]
@@ -262,7 +289,9 @@ def refined(signals: Signals, parts: Parts, steps: int) -> Fitted:
     )  # fmt: skip
     count = found.N.size + len(parts.x) + (parts.delay > 0 or parts.direct)
     bic = criterion(signals, parts, found.left, count)
-    return Fitted(parts.at(found.theta), found.cost, bic, count)
+    about = signals.y - np.mean(signals.y, axis=0)
+    percent = float(100 * (1 - np.sqrt(found.cost / np.sum(about**2))))
+    return Fitted(parts.at(found.theta), found.cost, bic, count, percent)
 
 
 def criterion(signals: Signals, parts: Parts, left: Numbers, parameters: int) -> float:
@@ -453,29 +482,25 @@ def long_enough(signals: Signals, parts: Parts) -> bool:
     return samples * n_y >= SAMPLES_PER_PARAMETER * count
 
 
-def in_motion(signals: Signals, delay: int) -> bool:
-    """Whether models of moderate order explain clearly more with free motions from the start.
+def moderate(signals: Signals, delay: int) -> Fitted:
+    """The better fit of two moderate orders, from poles that hold wherever the machine begins."""
+    poles = reduced_poles(signals, delay)
+    fits = [refined(signals, of_poles(poles(n), delay), SHORT) for n in MODERATE]
+    return min(fits, key=lambda one: one.bic)
 
-    Their poles are those of a difference equation, which holds wherever the machine begins.
-    """
+
+def in_motion(signals: Signals, delay: int) -> bool:
+    """Whether models of moderate order explain clearly more with free motions from the start."""
     if signals.u.shape[1] > 1:
         return False
-    poles = reduced_poles(signals, delay)
-    rest, moving = (
-        min(refined(of, of_poles(poles(n), delay), SHORT).bic for n in MODERATE)
-        for of in (signals, signals._replace(from_rest=False))
-    )
-    return moving < rest - MOVING
+    moving = moderate(signals._replace(from_rest=False), delay)
+    return moving.bic < moderate(signals, delay).bic - MOVING
 
 
 def first_delay(signals: Signals, longest: int) -> int:
     """The delay, of some up to the longest, at which models of moderate order fit best."""
     delays = sorted({*(d for d in DELAYS if d < longest), longest})
-    fits = []
-    for delay in delays:
-        poles = reduced_poles(signals, delay)
-        fits += [refined(signals, of_poles(poles(n), delay), SHORT) for n in MODERATE]
-    return min(fits, key=lambda one: one.bic).parts.delay
+    return min((moderate(signals, d) for d in delays), key=lambda one: one.bic).parts.delay
 
 
 def ladder(
@@ -511,6 +536,7 @@ def ladder(
 
 def improved(
     signals: Signals,
+    part: Signals,
     now: Fitted,
     *,
     order: int | None,
@@ -523,6 +549,7 @@ def improved(
     A part goes or comes, the delay changes, a direct term comes or goes, a slow pole becomes an
     integrator.
 
+    part: of the signals, on which changes are compared before the best two are refined
     order: the order where it is fixed
     delays: the least and the longest
     """
@@ -544,9 +571,9 @@ def improved(
             and long_enough(signals, p)
             and (p.order == order if order else 0 < p.order <= highest)
         ]
-        short = sorted((refined(signals, p, SHORT) for p in allowed), key=lambda one: one.bic)
+        short = sorted((refined(part, p, SHORT) for p in allowed), key=lambda one: one.bic)
         long = [refined(signals, one.parts, LONG) for one in short[:2]]
-        tried += [*short, *long]
+        tried += [*(short if part is signals else ()), *long]
         after = min([now, *long], key=lambda one: one.bic)
         if after is now:
             return now, tried
@@ -786,17 +813,20 @@ def grow(
     require("grow", "longest", longest, f"[0, {LONGEST_DELAY}]", whole=True)
     longest = min(longest, len(record.u) // record.trials // 3)
     delays = (0, longest) if delay is None else (delay, delay)
-    late = min(longest, first_lag(record, longest)) if delay is None else delay
-    if from_rest is False or (from_rest is None and in_motion(whole.first(), late)):
+    part = whole.first().part()
+    first = len(part.y) if len(part.y) < samples else None
+    late = min(longest, first_lag(record, longest, first)) if delay is None else delay
+    if from_rest is False or (from_rest is None and in_motion(part, late)):
         whole = whole._replace(from_rest=False)
     signals = whole.first()
+    part = signals.part()
     lags = (of_poles(-np.ones(n), 0) for n in range(2, HIGHEST + 1))
     highest = 1 + sum(long_enough(signals, parts) for parts in lags)
-    began = first_delay(signals, late) if delay is None else delay
+    began = first_delay(part, late) if delay is None else delay
 
     def say(one: Fitted) -> None:
         parts = one.parts
-        each(f"order {parts.order}, delay {parts.delay}: {_percent(signals, one):.4g} % fit")
+        each(f"order {parts.order}, delay {parts.delay}: {one.percent:.4g} % fit")
 
     fixed = order
     judge = partial(identify, record, fit_share=fit_share, from_rest=whole.from_rest)
@@ -814,17 +844,20 @@ def grow(
             fixed = told[0].order
         return fixed != order
 
-    steps = ladder(signals, began, order or highest, say, imitates, least=order or 1)
+    steps = ladder(part, began, order or highest, say, imitates, least=order or 1)
     start = steps[fixed] if fixed else min(steps.values(), key=lambda one: one.bic)
     if delay is None:  # a delay that is far off would be left sample by sample, or by more poles
         most = start.parts.order
         orders = {most} if fixed else {most, *range(1, min(most, SIMPLE))}
         others = [steps[n].parts._replace(delay=d) for n in orders
                   for d in DELAYS if d <= late and d != began]  # fmt: skip
-        others = [refined(signals, parts, SHORT) for parts in others if long_enough(signals, parts)]
+        others = [refined(part, parts, SHORT) for parts in others if long_enough(signals, parts)]
         start = min([start, *others], key=lambda one: one.bic)
-    improve = partial(improved, signals, delays=delays, highest=highest, each=say)
-    best, tried = improve(start, order=fixed)
+    if part is not signals:
+        steps = {n: refined(signals, one.parts, 0) for n, one in steps.items()}
+        start = refined(signals, start.parts, LONG)
+    improve = partial(improved, delays=delays, highest=highest, each=say)
+    best, tried = improve(signals, part, start, order=fixed)
     need_stable(whole, best)
     kinds: dict[tuple[int, int, int, bool, int], Fitted] = {}
     for one in (*steps.values(), *tried, best):
@@ -834,8 +867,7 @@ def grow(
         best = by_validation(whole, best, list(kinds.values()))
     if from_rest is None and not whole.from_rest:
         rest = signals._replace(from_rest=True)
-        near = refined(rest, best.parts, SHORT)
-        near, _ = improved(rest, near, order=fixed, delays=delays, highest=highest, each=say)
+        near, _ = improve(rest, rest.part(), refined(rest, best.parts, SHORT), order=fixed)
         if near.bic < best.bic + MOVING or not long_enough(signals, best.parts):
             return grow(
                 record, order=order, delay=delay, fit_share=fit_share, longest=longest,
@@ -847,7 +879,7 @@ def grow(
     lower = [] if found.white or fixed else steps.values()
     told = suspected(lower, found)
     if told and told[0].order < best.parts.order and told[0].rms < float(found.residual_std[0]):
-        best, _ = improve(steps[told[0].order], order=told[0].order)
+        best, _ = improve(signals, part, steps[told[0].order], order=told[0].order)
         found = judge(plant_of(whole, best.parts))
     kinds[best.parts.kind] = best
     others = [one for one in _worth_telling(kinds.values()) if one.parts.kind != best.parts.kind]
@@ -876,11 +908,11 @@ def need_stable(whole: Signals, best: Fitted) -> None:
     that moves with the order to which the equation is reduced is chance, too: an axis with friction
     seems to have one at few orders, since the equation sees the answers of `LAGS` samples alone.
     """
-    signals = whole.first()
     ahead = _told(whole, best).validation_fit
-    if _percent(signals, best) > EXPLAINED and not ahead < EXPLAINED:
+    if best.percent > EXPLAINED and not ahead < EXPLAINED:
         return
     simulated = np.mean((whole.y - numerators(whole, best.parts)[1]) ** 2)
+    signals = whole.first().part()
     if difference_equation(signals, 0)[2] > FORESEEN * simulated:
         return
     poles = reduced_poles(signals, 0, clip=False)
@@ -890,12 +922,6 @@ def need_stable(whole: Signals, best: Fitted) -> None:
             f"identify: the plant seems to be unstable, with a pole near +{growth:.3g} rad/s; keep "
             "it under its feedback, and identify from the reference to the output"
         )
-
-
-def _percent(signals: Signals, one: Fitted) -> float:
-    """The fit of the fitted part [%], over all outputs."""
-    about = signals.y - np.mean(signals.y, axis=0)
-    return 100 * (1 - np.sqrt(one.cost / np.sum(about**2)))
 
 
 def _worth_telling(fits: Iterable[Fitted]) -> list[Fitted]:
@@ -930,7 +956,7 @@ def orders_and_delays(
 # --------------------------------------------------------------------------------------------------
 
 
-def first_lag(record: Record, longest: int = LONGEST_LOOKED_FOR) -> int:
+def first_lag(record: Record, longest: int = LONGEST_LOOKED_FOR, first: int | None = None) -> int:
     """The samples between the input and the first significant answer, less the one of the hold.
 
     A difference equation of high order is fitted by linear least squares, where the noise is white:
@@ -939,24 +965,23 @@ def first_lag(record: Record, longest: int = LONGEST_LOOKED_FOR) -> int:
 
     The estimate is i - 1 of the first b_i that is more than 4 standard errors from 0. It is 0 where
     none is, or where the record is too short for such a fit. Of several experiments, the first is
-    taken.
+    taken, or its `first` samples.
     """
     u, y = (as_columns("first_lag", name, getattr(record, name))[:, 0] for name in "uy")
     u, y = (of[: len(of) // record.trials] for of in (u, y))
+    u, y = u[:first], y[: len(u[:first]) + 1]
     n = min(longest + BEYOND, (len(u) - 1) // 6)
     if n < 1:
         return 0
     lagged = np.lib.stride_tricks.sliding_window_view
-    rows = np.hstack([lagged(y[:-1], n)[:, ::-1], lagged(u, n)[:, ::-1]])
+    rows = np.hstack([lagged(of, n)[:, ::-1] for of in (y[:-1], u)])
     scale = np.std(rows, axis=0)
-    scale[scale == 0] = 1.0
-    rows = np.hstack([np.ones((len(rows), 1)), rows / scale])
-    wanted = y[n:]
-    found, _, rank, _ = np.linalg.lstsq(rows, wanted)
-    freedom = len(wanted) - rank
+    rows = np.hstack([np.ones((len(rows), 1)), rows / np.where(scale == 0, 1.0, scale)])
+    found, _, rank, _ = np.linalg.lstsq(rows, y[n:])
+    freedom = len(rows) - rank
     if freedom < 1:
         return 0
-    variance = np.sum((wanted - rows @ found) ** 2) / freedom
+    variance = np.sum((y[n:] - rows @ found) ** 2) / freedom
     errors = np.sqrt(variance * np.abs(np.diag(np.linalg.pinv(rows.T @ rows))))
     answers = np.abs(found[1 + n :]) > SIGNIFICANT * errors[1 + n :]
     return min(int(np.argmax(answers)), longest) if np.any(answers) else 0

@@ -427,8 +427,7 @@ def friction_of(force, position, dt: float, *, cutoff: float | None = None) -> F
     every = max(1, int(0.25 / (cutoff * dt)))
     still, rings = ~moving, round(RINGS / (cutoff * dt))
     still[[0, -1]] = True  # the filter begins and ends there
-    away = np.convolve(still, np.ones(2 * rings + 1), "same") < 0.5
-    which = np.flatnonzero(away)[::every]
+    which = np.flatnonzero(np.convolve(still, np.ones(2 * rings + 1), "same") < 0.5)[::every]
     if len(which) < LEAST_SAMPLES:
         raise ValueError(
             f"friction_of: {len(which)} samples in motion and apart from its reversals, a filter's "

@@ -98,6 +98,24 @@ def test_order_delay_direct_term_and_integrator_are_found():
 
 
 @pytest.mark.thorough
+def test_of_a_long_record_a_part_compares_and_all_of_it_is_fitted(monkeypatch):
+    """But for a slow sweep, whose beginning says nothing of the fast modes."""
+    record = excite(Machine(PLANT, sensor=Sensor(noise=0.05)), np.tile(U, (4, 1)), DT)
+    all_compare = grow(record, delay=2)
+    for name, samples in (("LONG_RECORD", 2000), ("PART", 900)):
+        monkeypatch.setattr(grown, name, samples)
+    sweep = np.resize(np.sin(np.cumsum(np.geomspace(1e-2, 3.0, 2600))), (3600, 1))
+    for u, part in ((record.u, 900), (sweep, 2520)):
+        of = grown.Signals.of(record._replace(u=u), 2520).first()
+        assert len(of.part().y) == part
+    model = grow(record, delay=2)
+    for name, (value, low, high) in all_compare.found.parameters.items():
+        assert model.found.parameters[name].value == pytest.approx(value, abs=1e-3 * (high - low))
+    assert model.chosen.bic == pytest.approx(all_compare.chosen.bic, abs=0.01)
+    assert min(one.bic for one in model.tried) > model.chosen.bic - 10  # all are of all samples
+
+
+@pytest.mark.thorough
 def test_a_simple_plant_stays_one_of_real_zeros():
     plant = ProcessModel(2.0, (), (150.0,), (300.0,), (0.4,), delay=3 * DT)
     model = grow(excite(Machine(plant, sensor=Sensor(noise=5e-3)), U, DT))
