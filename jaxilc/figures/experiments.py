@@ -120,7 +120,7 @@ def response_figure(
     dt: sample time of the record [s]
     Raises ValueError as `response_band` does.
     """
-    from ..identification.response_band import response_band
+    from ..identification.grown_response import response_band
 
     f, P, phase, factor, half = response_band(identified, dt)
     size = np.abs(P)

@@ -24,16 +24,24 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import scipy
 
-from ..plants import ModalModel
+from ..plants import ModalModel, ProcessModel
 from ..plants.process_model import samples_of
 from ..pytree.aliases import Numbers
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import get_at
 from ..pytree.ranges import require
 from ..theory.on_lines import MeasuredResponse
-from .problem import Projected, projected, searched, unit_columns
-from .response_estimation import checked_lines, enough_lines, longest_delay, need_lines, of_lines
-from .verdict import CONFIDENCE, Estimate, Identified, correlations, inverse_of_normal
+from .problem import Projected, free_elements, projected, searched, unit_columns
+from .response_estimation import (
+    checked_lines,
+    counts_of,
+    enough_lines,
+    longest_delay,
+    need_lines,
+    of_lines,
+    response_and_slopes,
+)
+from .verdict import CONFIDENCE, WIDE, Estimate, Identified, correlations, inverse_of_normal
 
 HIGHEST = 20  # order that is looked for
 ALL_UP_TO = 8  # order from which on only the best of these are grown further
@@ -57,6 +65,8 @@ UNIT = 2 * np.pi  # [rad/s] by which integrators are scaled, so that columns hav
 DAMPED = (1e-4, 30.0)  # that are looked for; from 1 on, a mode is two real poles
 BESIDE = 1e-7  # of damping 1, where the two poles of a mode coincide, in which 1 is not taken
 BELOW, ABOVE = 1 / 30, 4.0  # times the first and the last line, rates that are looked for
+LINES, LOWEST = 400, 1e-4  # frequencies of a band, and the lowest one as a share of the sample rate
+MOST_SPREAD = 5.0  # standard deviation of log |P| that is told at most
 SHARE = 0.95  # of half the sample rate, up to which rates are looked for
 Response: TypeAlias = tuple[tuple[str, ...], Numbers, Numbers]
 
@@ -624,3 +634,65 @@ def _in_common(error: Numbers) -> float:
     r = correlations(error).real.tolist()
     first = next((i for i, value in enumerate(r) if value < 2 / np.sqrt(len(error))), len(r))
     return 1 + 2 * sum(r[:first])
+
+
+# The band of a response
+# --------------------------------------------------------------------------------------------------
+
+
+class ResponseBand(NamedTuple):
+    """A frequency response with its 95 % band.
+
+    f:      (F,) frequencies [Hz]
+    P:      (F,) complex response
+    phase:  (F,) its phase without jumps [deg]
+    factor: (F,) the band is from |P| / factor to |P| factor; None where a parameter is not
+        determined by the record
+    half:   (F,) half of the band of the phase [deg]; None likewise
+    """
+
+    f: np.ndarray
+    P: np.ndarray
+    phase: np.ndarray
+    factor: np.ndarray | None
+    half: np.ndarray | None
+
+
+def response_band(identified: Identified, dt: float) -> ResponseBand:
+    """The response of the plant up to half of the sample rate, with its 95 % band.
+
+    With the covariance S of the parameters and the derivatives g of log P by them, the standard
+    deviations of log |P| and of the phase are those of Re(g)^T S Re(g) and Im(g)^T S Im(g).
+
+    dt: sample time of the record [s]
+    Raises ValueError for a plant that is not a `ProcessModel` or a `ModalModel` of one input and
+    one output.
+    """
+    plant = identified.plant
+    if not isinstance(plant, ProcessModel | ModalModel) or plant.n_u != 1 or plant.n_y != 1:
+        raise ValueError(
+            f"response_band: the plant is a {type(plant).__name__}; allowed is a ProcessModel or a "
+            "ModalModel of one input and one output"
+        )
+    f = np.geomspace(LOWEST / dt, 0.5 / dt, LINES)
+    if isinstance(plant, ModalModel):
+        names, P, slopes = response_of(plant, f, dt)
+    else:
+        names, P, slopes = _of_process(plant, f, dt)
+    bare = (name.replace("[0][0]", "") for name in identified.parameters)  # (1, 1) is one number
+    which, columns = np.transpose([(k, names.index(n)) for k, n in enumerate(bare) if n in names])
+    g, S = (slopes / P[:, None])[:, columns], identified.covariance[np.ix_(which, which)]
+    phase = np.unwrap(np.angle(P)) * 180 / np.pi
+    if not np.all(np.isfinite(S)):
+        return ResponseBand(f, P, phase, None, None)
+    variances = [np.einsum("fi,ij,fj->f", part, S, part) for part in (g.real, g.imag)]
+    of_log, of_phase = np.sqrt(np.maximum(variances, 0))
+    factor = np.exp(WIDE * np.minimum(of_log, MOST_SPREAD))
+    return ResponseBand(f, P, phase, factor, WIDE * np.minimum(of_phase, np.pi) * 180 / np.pi)
+
+
+def _of_process(plant: ProcessModel, f: Numbers, dt: float) -> Response:
+    """What `response_of` answers, of a ProcessModel."""
+    names = (*free_elements(plant, None), "delay")
+    values = np.array([*(float(get_at(plant, name)) for name in names[:-1]), plant.delay])
+    return names, *response_and_slopes(values, counts_of(plant), f, dt)

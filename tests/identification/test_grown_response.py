@@ -13,9 +13,8 @@ from jaxilc.identification import (
     identified_response,
     read_frequency_response,
 )
-from jaxilc.identification.grown_response import Parts
+from jaxilc.identification.grown_response import Parts, response_band
 from jaxilc.identification.problem import Projected
-from jaxilc.identification.response_band import response_band
 from jaxilc.outcomes import identify
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.theory.on_lines import MeasuredResponse
