@@ -240,7 +240,7 @@ run cao-2019 --set plant=ideal => form = 'ideal' is not one of 'exact', 'printed
 'dai_2014_printed'
 run cao-2019 --set reference=square => reference = 'square' is not one of 'sinusoid', 'piston'
 run cao-2019 --set frequency=fast => frequency = 'fast' is not a number
---precision half run cao-2019 => precision = 'half' is not one of 'float64', 'float32'
+run cao-2019 --precision half => precision = 'half' is not one of 'float64', 'float32'
 sweep cao-2019 --machines 0 => machines = 0 is outside its allowed range [1, inf)
 sweep cao-2019 --spread 2 => spread = 2 is outside its allowed range (0, 1)
 sweep cao-2019 --sampling grid => sampling = 'grid' is not one of monte-carlo

@@ -88,7 +88,7 @@ REFUSED = [
      r"line 5: t steps by 0.0015 s where .* dt = 0.001 s; .* or --dt 0.001"),
     (STEPS.format("t"),
      r"t steps by 2 and has no unit; in seconds .* 0.5 samples a second, in milli.*"
-     r"Write its unit into the heading, as `t \[ms\]`, .* as t_ms$"),
+     r"Write its unit into the heading, as `t \[ms\]`, .* as t_ms; or tell it by --time"),
     (STEPS.format("t [furlong]"), r"the unit 'furlong' of 't \[furlong\]' is not one of s, ms, us"),
 ]  # fmt: skip
 
