@@ -305,16 +305,18 @@ class Numbers:
         return None
 
     def again(self, like: Node, args: Sequence[Node]) -> Node:
-        """The node of the same operation on other operands.
+        """The node of the same operation on other operands, with the digits that it had.
 
-        A sum of a product and 0 stays one: it is rounded once, and is no product of another sum.
+        What leaves a product as it is stays: else a sum would be rounded with the product. So does
+        a quotient, which is no product with a reciprocal.
         """
         if isinstance(like.what, AtIndex):
             return self.row(args[0], like.dtype, like.what)
-        found = self.of(like.name, *args, dtype=like.dtype)
-        if like.name in ("add", "sub") and found.name == "mul" and found in args:
-            return self._node(like.name, (*args,), like.dtype, None, None)
-        return found
+        if like.name != "convert":
+            found = self.of(like.name, *args)
+            if found.name == "const" or (found in args and found.name != "mul"):
+                return found
+        return self._node(like.name, (*args,), like.dtype, None, None)
 
     def known(
         self, like: Node, args: Iterable[Node], what: Number | Place | int | None

@@ -732,8 +732,7 @@ def sunk(before: Sequence[Step], loop: Step) -> Step:
     before: the steps before it
     """
     params, body = loop.params, loop.params["body"]
-    count = params["consts"]
-    made = {x: step for step in before for x in step.outs}
+    count, least = params["consts"], min(of.params["length"] for of in loops(body))
     ins, inner = [*loop.ins[:count]], [*body.ins[:count]]
     steps, same = list[Step](), dict[Value, Value]()
 
@@ -749,7 +748,9 @@ def sunk(before: Sequence[Step], loop: Step) -> Step:
         inner.append(Value(x.shape, x.dtype))
         return inner[-1]
 
-    while step := next((made[x] for x in ins if x in made and _cheap(made[x])), None):
+    for step in reversed(before):
+        if {*ins}.isdisjoint(step.outs) or not _cheap(step, least):
+            continue
         outs = list[Value]()
         for x in step.outs:
             places = [i for i, outer in enumerate(ins) if outer is x]
@@ -769,14 +770,32 @@ def sunk(before: Sequence[Step], loop: Step) -> Step:
                 [*ins, *loop.ins[count:]], loop.outs)  # fmt: skip
 
 
-def _cheap(step: Step) -> bool:
-    """Whether a loop takes no longer to compute what a step does than to read it."""
-    if min(math.prod(x.shape) for x in step.outs) <= MOST:
+def _cheap(step: Step, least: int) -> bool:
+    """Whether a loop takes no longer to compute what a step does than to read it.
+
+    The step makes rows, from rows whose samples it leaves in order and from few numbers.
+    least: the samples of the shortest loop over samples
+    """
+    if step.name == "reshape":  # of which samples may become channels
         return False
+    steps, types = [step], {"bool", "int32", "int64", "uint32", jnp.result_type(float).name}
     if step.name == "scan":
         of = _written(step.params)
-        return not of["carry"] and all(x.name in CHEAP for x in of["body"].steps)
-    return step.name in CHEAP
+        if of["carry"] or of["length"] < least:
+            return False
+        steps = of["body"].steps
+    if any(one.name not in CHEAP or {*(one.params.get("strides") or ())} - {1} for one in steps):
+        return False
+    if any(x.dtype.name not in types for one in (step, *steps) for x in (*one.ins, *one.outs)):
+        return False
+
+    def axes(x: Value) -> int:
+        """How many axes are as long as those of samples."""
+        return sum(4 * n >= 3 * least for n in x.shape)
+
+    return all(axes(x) == 1 for x in step.outs) and all(
+        axes(x) == 1 or math.prod(x.shape) <= MOST for x in step.ins
+    )
 
 
 def _written(params: Parameters) -> Parameters:

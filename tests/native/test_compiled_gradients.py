@@ -268,6 +268,57 @@ def test_a_loop_takes_parts_and_sums_of_rows_that_it_reads_itself():
     assert [x.shape for x in known if x.shape != ()] == [(41,)]
 
 
+@pytest.mark.parametrize(
+    ("shape", "prepared"),
+    [((40,), lambda x: x[::2]), ((20, 20), lambda x: x[3]), ((30, 20), lambda x: x[3]),
+     ((20, 2), lambda x: x.reshape(40)[:20]), ((2, 20), lambda x: x.reshape(20, 2)[:, 0]),
+     ((20,), lambda x: x.astype("float16").astype(float))],
+)  # fmt: skip
+def test_a_loop_leaves_what_it_cannot_take_itself_to_the_steps_before_it(shape, prepared):
+    """Every other sample, a row of a matrix, samples that become channels, and few digits."""
+
+    def last(common, gain):
+        r = prepared(common)
+
+        def trial(u, _):
+            y = lax.scan(lambda x, now: (0.9 * x + now, x), 0.0, u)[1]
+            return u + gain * (r - y), None
+
+        return lax.scan(trial, jnp.zeros(20), jnp.arange(4))[0]
+
+    common, gains = np.random.default_rng(5).normal(size=shape), np.array([0.3, 0.8])
+    wanted = jax.vmap(last, (None, 0))(common, gains)
+    assert differs(Compiled(last, common, 1.0, lanes=2)(common, gains), wanted) is None
+
+
+@pytest.mark.parametrize(
+    "used",
+    [lambda p, x, r: x / (p + 3.0), lambda p, x, r: x * (p + 1.0) + r,
+     lambda p, x, r: jnp.where(p > 0, r, x) + r, lambda p, x, r: x / (p + 1.0) + r],
+)  # fmt: skip
+def test_a_share_of_zero_gives_the_same_digits_beside_other_shares(monkeypatch, used):
+    monkeypatch.setattr(rows, "FEW_SAMPLES", 1)
+    r = jnp.asarray(np.random.default_rng(6).normal(size=40))
+
+    def learning(_, one):
+        share, gain = one
+
+        def trial(u, _):
+            seen = used(jnp.where(u > r, 1.0, -1.0) * share, u * gain, r)
+            y = lax.scan(lambda x, now: (0.9 * x + now, x), 0.1, seen)[1]
+            return jnp.tanh(u + 0.3 * (r - y)), seen
+
+        return lax.scan(trial, 0.3 * r[::-1], jnp.arange(3))
+
+    shares, gains = np.array([0.0, 0.0, 0.0, 0.7]), np.array([0.4, 0.7, 0.9, 0.7])
+    program = Compiled(learning, (), (1.0, 1.0), lanes=2)
+    found = program((), (shares, gains))  # the third machine is beside a share that is not zero
+    alone = program((), (shares[[2, 2]], gains[[2, 2]]))
+    assert differs(found, jax.vmap(learning, (None, 0))((), (shares, gains))) is None
+    for x, y in zip(found, alone, strict=True):
+        np.testing.assert_array_equal(x[2], y[0])
+
+
 def test_a_gradient_computes_no_number_of_a_trial_that_nobody_reads():
     machine, scheme, task = case("p_type")
 
