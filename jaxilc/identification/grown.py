@@ -49,7 +49,7 @@ PATIENCE = 3  # orders without a smaller criterion, after which growing ends
 LAGS = 60  # of the difference equation that is reduced
 SAMPLED = 2000  # rows of a record that decide between parts of the grid
 LONG_RECORD, PART = 100_000, 30_000  # samples: of a longer one a part compares; the least of it
-HELD, BANDS, POWER = 0.1, 24, 1e-3  # share of its power, in each band with so much of the mean
+HELD, BANDS, SEEN = 0.1, 24, 1e-10  # share of its power, in each band with so much of the most
 GRID, DAMPINGS = 48, (0.01, 0.1, 0.7)  # rates and dampings of the parts that are tried
 DELAYS = (0, 1, 2, 3, 5, 8, 13, 21, 34)  # samples, at which a search may begin
 MODERATE = (4, 8)  # orders by which it is decided at which
@@ -153,27 +153,36 @@ class Signals(NamedTuple):
     def part(self) -> Signals:
         """A first part of what is fitted, whose input has all frequencies; of a short record all.
 
-        It is the shortest one, from `PART` samples on, whose power is `HELD` of that of the whole
-        in each band: the beginning of a slow sweep says nothing of a fast mode.
+        It is the shortest one, from `PART` samples on, whose mean power is `HELD` of that of the
+        whole in each band: the beginning of a slow sweep says nothing of a fast mode, nor does that
+        of a large motion to which small noise is added later.
         """
         if self.samples <= LONG_RECORD:
             return self
-        samples, whole = PART, _densities(self.u)
-        needed = HELD * np.where(whole > POWER * np.mean(whole, axis=0), whole, 0.0)
-        while samples < self.samples:
-            some = self._replace(samples=samples).first()
-            if np.all(_densities(some.u) >= needed):
-                return some
-            samples *= 2
-        return self
+        power = _power(self.u.reshape(len(self.u), -1)[:, : self.samples])
+        whole = np.mean(power, axis=0)
+        some = np.cumsum(power, axis=0) / np.arange(1, len(power) + 1)[:, None, None]
+        held = (some >= HELD * whole) | (whole < SEEN * np.max(whole, axis=-1, keepdims=True))
+        last = int(np.argmax(np.all(held, axis=(1, 2))))
+        left = (len(power) - 1 - last) * (PART // 4)
+        return self._replace(samples=max(self.samples - left, PART)).first()
 
 
-def _densities(u: Numbers) -> Numbers:
-    """(BANDS + 1, n_u) mean power of inputs by frequency."""
-    flat = u.reshape(len(u), -1)
-    power = np.abs(np.fft.rfft(flat - np.mean(flat, axis=1, keepdims=True))) ** 2 / flat.shape[1]
-    edges = np.geomspace(4 * BANDS / PART, 0.5, BANDS + 1)[:-1] * flat.shape[1]
-    return np.stack([np.mean(of, axis=1) for of in np.split(power, edges.astype(int), axis=1)])
+def _power(u: Numbers) -> Numbers:
+    """(windows, n_u, BANDS + 1) power of inputs (n_u, samples) in time, by frequency and at all.
+
+    Windows of half of `PART` overlap by half, and the last one ends with the record (Welch 1967).
+    By frequency they fall off smoothly (Hann), so that what is large and slow does not hide what is
+    small and fast.
+    """
+    length, step = PART // 2, PART // 4
+    windows = np.lib.stride_tricks.sliding_window_view(u, length, axis=1)
+    parts = windows[:, (windows.shape[1] - 1) % step :: step]
+    parts = np.moveaxis(parts - np.mean(parts, axis=-1, keepdims=True), 0, 1)
+    lines = np.abs(np.fft.rfft(parts * np.hanning(length))) ** 2
+    first = np.geomspace(4, length // 2, BANDS)[:-1].astype(int)
+    by_frequency = np.add.reduceat(lines, [1, *first], axis=-1)
+    return np.append(by_frequency, np.sum(parts**2, axis=-1, keepdims=True), axis=-1)
 
 
 class Fitted(NamedTuple):
@@ -549,7 +558,8 @@ def improved(
     A part goes or comes, the delay changes, a direct term comes or goes, a slow pole becomes an
     integrator.
 
-    part: of the signals, on which changes are compared before the best two are refined
+    part: of the signals, on which changes are compared before the best two are refined; where it
+        is not all of them, also the other one of the least residual, since a part shows less
     order: the order where it is fixed
     delays: the least and the longest
     """
@@ -572,7 +582,8 @@ def improved(
             and (p.order == order if order else 0 < p.order <= highest)
         ]
         short = sorted((refined(part, p, SHORT) for p in allowed), key=lambda one: one.bic)
-        long = [refined(signals, one.parts, LONG) for one in short[:2]]
+        others = sorted(short[2:], key=lambda one: one.cost)[: part is not signals]
+        long = [refined(signals, one.parts, LONG) for one in (*short[:2], *others)]
         tried += [*(short if part is signals else ()), *long]
         after = min([now, *long], key=lambda one: one.bic)
         if after is now:

@@ -99,15 +99,17 @@ def test_order_delay_direct_term_and_integrator_are_found():
 
 @pytest.mark.thorough
 def test_of_a_long_record_a_part_compares_and_all_of_it_is_fitted(monkeypatch):
-    """But for a slow sweep, whose beginning says nothing of the fast modes."""
+    """But for a slow sweep, and for small noise that comes late: the fast modes would be missed."""
     record = excite(Machine(PLANT, sensor=Sensor(noise=0.05)), np.tile(U, (4, 1)), DT)
     all_compare = grow(record, delay=2)
     for name, samples in (("LONG_RECORD", 2000), ("PART", 900)):
         monkeypatch.setattr(grown, name, samples)
     sweep = np.resize(np.sin(np.cumsum(np.geomspace(1e-2, 3.0, 2600))), (3600, 1))
-    for u, part in ((record.u, 900), (sweep, 2520)):
+    motion = 10 * np.sin(np.arange(3600)[:, None] / 100)
+    motion[1400:] += 0.1 * record.u[1400:]
+    for u, least, most in ((record.u, 900, 900), (sweep, 2000, 2520), (motion, 1400, 2000)):
         of = grown.Signals.of(record._replace(u=u), 2520).first()
-        assert len(of.part().y) == part
+        assert least <= len(of.part().y) <= most
     model = grow(record, delay=2)
     for name, (value, low, high) in all_compare.found.parameters.items():
         assert model.found.parameters[name].value == pytest.approx(value, abs=1e-3 * (high - low))
