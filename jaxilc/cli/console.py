@@ -47,6 +47,8 @@ for stream in (sys.stdout, sys.stderr):
     if isinstance(stream, io.TextIOWrapper):
         stream.reconfigure(errors="jaxilc")
 
+if not os.environ.get("COLUMNS", "").strip("0"):  # none told, or 0, at which rich prints nothing
+    os.environ.pop("COLUMNS", None)
 wide = not (sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdecimal())
 out = Console(width=PIPED_WIDTH if wide else None)
 err = Console(stderr=True)

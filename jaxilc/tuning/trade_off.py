@@ -53,9 +53,9 @@ def pareto(
     that with a share of 1/2 a gain of 1 % in either objective counts the same. An objective that is
     zero or not finite there is not divided. Each tuning starts from the weights as given. A point
     is left out where another one, or the weights as given, is no worse in either objective and
-    better in one: a risk of the sum may fall where both risks rise. A weighted sum finds only the
-    convex part of the front (Das and Dennis 1997), and evenly spaced shares need not give evenly
-    spaced points.
+    better in one: a risk of the sum may fall where both risks rise. An objective that is no number
+    counts as infinite. A weighted sum finds only the convex part of the front (Das and Dennis
+    1997), and evenly spaced shares need not give evenly spaced points.
 
     shares: numbers in [0, 1], all different
     out: folder that gets a folder for the state of each tuning, None to keep them in the RAM only

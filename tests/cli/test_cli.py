@@ -38,7 +38,7 @@ from jaxilc.cli.hardware import OF_CAMPAIGN
 from jaxilc.cli.options import DESIGN, MACHINE, PROVE, SIMULATE, Pages
 from jaxilc.outcomes import Request, demonstrating, running, sweeping
 from jaxilc.outcomes.certifying import watched_numbers
-from jaxilc.pytree import settable
+from jaxilc.pytree import replaced, settable
 from jaxilc.scenarios import LISTED, identified_file
 from jaxilc.scenarios.from_file import read_scenario
 from jaxilc.scenarios.identified_file import StartingLaw
@@ -103,6 +103,20 @@ def test_run_prints_ours_beside_the_published_and_writes_everything(here, tmp_pa
     assert [p["ours"] is None for p in of_scheme["published"] if p["trial"] == 50] == [True]
     for name in ("error-by-trial.png", "tracking-cfdl-mfailc.png"):
         assert (tmp_path / "here" / name).exists()
+
+
+@pytest.mark.thorough
+def test_settings_of_every_kind_reach_the_numbers_of_a_report(here, tmp_path):
+    """An option of the scenario, a static field, a choice, an array and a number."""
+    own = {"L_y": 1, "reset": "sign", "phi0": (0.5, -0.06, 0.0)}
+    given = {"plant": "exact", "plant.gain": 7e3} | {f"ffdl-mfailc.{n}": v for n, v in own.items()}
+    flags = [part for name, value in given.items() for part in ("--set", f"{name}={value}")]
+    done("run", "cao-2019", "--scheme", "ffdl-mfailc", "--trials", 3, "--report", "a.json", *flags)
+    s = jaxilc.scenarios.load("cao-2019", plant="exact")
+    machine = replaced(s.machine, {"plant.gain": 7e3})
+    law = dataclasses.replace(s.schemes["ffdl-mfailc"], **own)
+    printed = json.loads((tmp_path / "a.json").read_text())["schemes"]["ffdl-mfailc"]["rms"]["3"]
+    assert printed == pytest.approx(1e3 * jaxilc.learn(machine, law, s.task, 3).rms[-1, 0])
 
 
 def test_sweep_prints_the_yield_and_resumes(here, tmp_path):
@@ -576,8 +590,8 @@ def started(*words, **environment):
 
 
 def test_a_pipe_is_as_wide_as_columns_tell():
-    for more, width in (({}, 160), ({"COLUMNS": "70"}, 70)):
-        out = started("list", **more).stdout
+    for told, width in (("", 160), ("70", 70), ("0", 160)):
+        out = started("list", COLUMNS=told).stdout
         *lines, _ = out.splitlines()  # the last one is a command, to be copied
         assert max(map(len, lines)) <= width
         assert (max(map(len, lines)) > 70) == (width > 70)

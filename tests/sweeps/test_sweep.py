@@ -45,6 +45,17 @@ def resumed(plan, store):
     return dataset, computed
 
 
+@pytest.mark.thorough
+def test_each_sample_can_be_rebuilt_and_run_alone(dataset):
+    for i in (0, 3, 10):
+        machine, key = PLAN.machine_of(i), PLAN.key_of(i)
+        alone = jaxilc.learn(machine, PLAN.schemes["learning"], TASK, 4, key=key)
+        of_sweep = dataset.sel(scheme="learning", sample=i)
+        np.testing.assert_allclose(of_sweep["rms"], alone.rms[:, 0], rtol=1e-10)
+        np.testing.assert_allclose(of_sweep["e"], alone.final.e[:, 0], rtol=1e-10, atol=1e-14)
+        assert float(of_sweep["plant.poles[2]"]) == float(machine.plant.poles[2])
+
+
 def test_the_dataset_is_labelled(dataset):
     assert dataset["settled_error"].dims == ("scheme", "sample", "trial")
     assert dataset["u"].dims == ("scheme", "sample", "input_time")
