@@ -13,6 +13,7 @@ from pathlib import Path
 from instructions import limited
 
 ISA = limited()  # before NumPy is loaded
+os.environ.pop("COLUMNS", None)  # which a pipe follows
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads would wait for one another
 os.environ.setdefault("JAXILC_CACHE", "off")  # it would write to the user's folder
 

@@ -818,7 +818,7 @@ def test_quiet_and_verbose(here, tmp_path):
     assert code == 0
     assert "written: " in out
     told = json.loads((tmp_path / "run.json").read_text())
-    assert out.startswith(told["verdict"][0])
+    assert flat(out).startswith(told["verdict"][0])
     assert out.splitlines()[-1] == f"Next, what theory claims: {told['next']}"
     assert told["next"] == "jaxilc certify mine.toml --trials 2"
     assert "devices: " in err
