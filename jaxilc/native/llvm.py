@@ -249,9 +249,8 @@ class Text(Lines):
             for i in (0, 1):
                 if node.args[i].name == "mul":
                     return self._fused(node, i, args[1 - i])
-        if node.name == "max" and "abs" in (sizes := [x.name for x in node.args]):
-            first = sizes[0] == "abs"
-            return self._larger(kind, args[first], args[not first])
+        if node.name == "max" and "abs" in (names := [x.name for x in node.args]):
+            return self._larger(kind, *(args[::-1] if names[0] == "abs" else args))
         text = instruction(node.name, node.args[0].dtype.kind)
         assert text is not None, node.name
         of = self.type_of(node.args[0].dtype)

@@ -716,14 +716,14 @@ def of_trials(
         of |= _counts(params) | {"body": _of_trial(params["jaxpr"])}
         ahead, loop = computed_ahead(Step("scan", of, whole.ins, whole.outs), foreign)
         before = [*before, *ahead]
-        found.append((before, sunk(before, loop)))
+        found.append((before, taking(before, loop)))
         before = shaped
     if not found:
         raise Unknown("there is no loop over samples in a loop over trials")
     return read_alone(found, before, program.outs), before
 
 
-def sunk(before: Sequence[Step], loop: Step) -> Step:
+def taking(before: Sequence[Step], loop: Step) -> Step:
     """A loop over trials that takes parts, sums and copies of what it reads itself.
 
     JAX takes them before the loop. Within it they cost less than to read them, and what a law and
@@ -733,41 +733,31 @@ def sunk(before: Sequence[Step], loop: Step) -> Step:
     """
     params, body = loop.params, loop.params["body"]
     count, least = params["consts"], min(of.params["length"] for of in loops(body))
-    ins, inner = [*loop.ins[:count]], [*body.ins[:count]]
-    steps, same = list[Step](), dict[Value, Value]()
+    number, moved = Numbering(), list[Step]()
+    reads: dict[int, tuple[Value, Value]] = {}  # what it reads, with what stands for it within
+    same = {own: reads.setdefault(number(x), (x, own))[1]
+            for x, own in zip(loop.ins[:count], body.ins[:count], strict=True)}  # fmt: skip
 
     def within(x: Value) -> Value:
         """What stands for a value within the loop."""
         if isinstance(x, Const) and math.prod(x.shape) <= MOST:
             return x
-        for outer, found in zip(ins, inner, strict=True):
-            if outer is x or (isinstance(x, Const) and isinstance(outer, Const)
-                              and _key(x.array) == _key(outer.array)):  # fmt: skip
-                return found
-        ins.append(x)
-        inner.append(Value(x.shape, x.dtype))
-        return inner[-1]
+        return reads.setdefault(number(x), (x, Value(x.shape, x.dtype)))[1]
 
     for step in reversed(before):
-        if {*ins}.isdisjoint(step.outs) or not _cheap(step, least):
+        if reads.keys().isdisjoint(map(number, step.outs)):
             continue
-        outs = list[Value]()
-        for x in step.outs:
-            places = [i for i, outer in enumerate(ins) if outer is x]
-            outs.append(inner[places[0]] if places else Value(x.shape, x.dtype))
-            same |= {inner[i]: outs[-1] for i in places}
-            for i in reversed(places):
-                del ins[i], inner[i]
-        now = Step(step.name, step.params, [*map(within, step.ins)], outs, step.primitive)
-        if step.name == "scan":
-            now.params, now.primitive = _written(step.params), None
-        steps.insert(0, now)
+        step = _as_lowered(step)
+        if _cheap(step, least):
+            outs = [reads.pop(number(x), (x, Value(x.shape, x.dtype)))[1] for x in step.outs]
+            ins = [*map(within, step.ins)]
+            moved.insert(0, Step(step.name, step.params, ins, outs, step.primitive))
     rest = [Step(x.name, x.params, [same.get(y, y) for y in x.ins], x.outs, x.primitive)
             for x in body.steps]  # fmt: skip
-    of = Program([*inner, *body.ins[count:]], [*steps, *rest],
-                 [same.get(x, x) for x in body.outs])  # fmt: skip
-    return Step("scan", params | {"body": of, "consts": len(ins)},
-                [*ins, *loop.ins[count:]], loop.outs)  # fmt: skip
+    known = [own for _, own in reads.values()]
+    of = Program([*known, *body.ins[count:]], [*moved, *rest], [same.get(x, x) for x in body.outs])
+    ins = [*(x for x, _ in reads.values()), *loop.ins[count:]]
+    return Step("scan", params | {"body": of, "consts": len(known)}, ins, loop.outs)
 
 
 def _cheap(step: Step, least: int) -> bool:
@@ -776,16 +766,16 @@ def _cheap(step: Step, least: int) -> bool:
     The step makes rows, from rows whose samples it leaves in order and from few numbers.
     least: the samples of the shortest loop over samples
     """
+    params, steps = step.params, [step]
     if step.name == "reshape":  # of which samples may become channels
         return False
-    steps, types = [step], {"bool", "int32", "int64", "uint32", jnp.result_type(float).name}
     if step.name == "scan":
-        of = _written(step.params)
-        if of["carry"] or of["length"] < least:
+        if "body" not in params or params["carry"] or params["length"] < least:
             return False
-        steps = of["body"].steps
+        steps = params["body"].steps
     if any(one.name not in CHEAP or {*(one.params.get("strides") or ())} - {1} for one in steps):
         return False
+    types = {"bool", "int32", "int64", "uint32", jnp.result_type(float).name}
     if any(x.dtype.name not in types for one in (step, *steps) for x in (*one.ins, *one.outs)):
         return False
 
@@ -796,12 +786,6 @@ def _cheap(step: Step, least: int) -> bool:
     return all(axes(x) == 1 for x in step.outs) and all(
         axes(x) == 1 or math.prod(x.shape) <= MOST for x in step.ins
     )
-
-
-def _written(params: Parameters) -> Parameters:
-    """The parameters of a lowered scan, from those of one of JAX."""
-    of = {key: params[key] for key in ("length", "reverse")}
-    return of | _counts(params) | {"body": lowered(params["jaxpr"])}
 
 
 def read_alone(parts: Parts, rest: list[Step], outs: Sequence[Value]) -> Parts:

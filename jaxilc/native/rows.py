@@ -944,8 +944,9 @@ class _Build:
         for scan in self.loop.scans:
             if at.active(scan):
                 outs = at.run(scan)
-                for old, new in zip(scan.cells, outs, strict=False):
-                    cells += zip(old.flat, new.flat, strict=False)
+                for i, (old, new) in enumerate(zip(scan.cells, outs, strict=False)):
+                    if not scan.unchanged(i):
+                        cells += zip(old.flat, new.flat, strict=True)
         for sink in self.loop.sinks:
             if at.active(sink):
                 stores.append((sink.buffer, sink.offset, at.row(sink.rows[0], 1, sink.offset)))
@@ -1236,16 +1237,21 @@ def without_choices(of: Trials, segment: Segment) -> tuple[list[Node], Segment]:
     Where no machine of a group meets any of them, as none has passed a level yet, the rest computes
     the same with fewer operations. A choice is one of two numbers, of which the other is only read:
     a product would become a part of a sum that is rounded once, and a machine would have other
-    digits beside some machines than beside others. Or it is one of constants, times a number that
-    is mostly zero: the slope of a largest error, of which nothing depends while none is too large.
+    digits beside some machines than beside others. Or it is one of constants, times a share that is
+    zero for all machines, in a sum: the slope of a largest error, on which nothing depends while no
+    error is too large. Elsewhere the sign of this zero could count.
     """
     n, conditions = of.n, dict[Node, None]()
+    nodes = in_turn(segment.wanted)
+    elsewhere = {*segment.wanted}.union(*(x.args for x in nodes if x.name not in ("add", "sub")))
 
     def put(node: Node, args: list[Node]) -> Node | None:
         if node.name == "select" and not node.args[0].varies and isinstance(args[1].what, At):
             conditions[node.args[0]] = None
             return args[1]
-        for choice, share in (node.args, node.args[::-1]) if node.name == "mul" else ():
+        if node.name != "mul" or node in elsewhere:
+            return None
+        for choice, share in (node.args, node.args[::-1]):
             if not share.varies and choice.varies and _of_constants(choice):
                 nothing = n.const(0, node.dtype)
                 conditions[n.of("ne", share, nothing)] = None
@@ -1254,7 +1260,7 @@ def without_choices(of: Trials, segment: Segment) -> tuple[list[Node], Segment]:
 
     if segment.last - segment.first < FEW_SAMPLES:
         return [], segment
-    rest = _rewritten(of, segment, put)
+    rest = _rewritten(of, segment, put)  # which finds the conditions
     return [*conditions], rest
 
 

@@ -294,7 +294,8 @@ def test_a_loop_leaves_what_it_cannot_take_itself_to_the_steps_before_it(shape, 
 @pytest.mark.parametrize(
     "used",
     [lambda p, x, r: x / (p + 3.0), lambda p, x, r: x * (p + 1.0) + r,
-     lambda p, x, r: jnp.where(p > 0, r, x) + r, lambda p, x, r: x / (p + 1.0) + r],
+     lambda p, x, r: jnp.where(p > 0, r, x) + r, lambda p, x, r: x / (p + 1.0) + r,
+     lambda p, x, r: jnp.clip(1 / p, -1, 1)],
 )  # fmt: skip
 def test_a_share_of_zero_gives_the_same_digits_beside_other_shares(monkeypatch, used):
     monkeypatch.setattr(rows, "FEW_SAMPLES", 1)
