@@ -116,6 +116,7 @@ class Learning:
             objective=self.objective, quantities=self.quantities, held_out=0, steps=1, clip=np.inf,
             mode="forward" if forward else "reverse",
         )  # fmt: skip
+        vars(asked)["population"] = self.population  # it would draw machines where some are given
         with _wanted(native):
             evaluate, compiled = asked.evaluation
         if native and not compiled:

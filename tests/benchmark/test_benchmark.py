@@ -241,6 +241,17 @@ def test_wrong_gradients_are_refused():
 N, J = 7, 3
 
 
+def test_a_gradient_of_the_contest_is_of_the_plants_that_are_given():
+    """Not of others that a tuning would draw."""
+    of = contests.setting("cfdl", 3, 3, 12)
+    weights = Weights.of(of.scheme, ("lam", "rho"))
+    of = of._replace(scheme=replaced(of.scheme, weights.inside))
+    found = gradients._learning(of).derivatives(weights, forward=False).run()
+    rms = of.ours()()[:, -1, peers.METRICS.index("rms")]
+    losses = slope_of("cfdl", 3, 3, 12).losses(rms**2)
+    np.testing.assert_allclose(ours.of_each(found)[:, 0, 0], losses, rtol=1e-10)
+
+
 def test_loops_sums_and_matrix_products_are_counted_as_by_hand():
     def trial(x, row):
         return jnp.sin(x) / row + 2.0, None
