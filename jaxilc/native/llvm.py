@@ -599,9 +599,10 @@ class Text(Lines):
     def _loop(self, loop: Loop) -> None:
         for scan in loop.scans:
             for i, cells in enumerate(scan.cells):
-                values = self.values(scan.begin(i).flat) if cells.size else []
-                for cell, value in zip(cells.flat, values, strict=True):
-                    self._put(cell, value)
+                if not scan.unchanged(i):
+                    values = self.values(scan.begin(i).flat)
+                    for cell, value in zip(cells.flat, values, strict=True):
+                        self._put(cell, value)
         for segment in loop.segments:
             self._segment(segment, loop.direction)
 

@@ -31,6 +31,7 @@ SAME = {"by_sample", "stop_gradient", "copy", "copy_p", "optimization_barrier", 
 OBJECT = "call_hi_primitive"
 UNROLLED = 64  # passes of a loop within a sample, up to which they are written one after another
 MOST = 16  # rows of a matrix that is solved in single steps, and whole numbers that are sorted
+# steps that cost a loop less than to read what they make, see `taking`
 CHEAP = {"add", "sub", "neg", "slice", "broadcast_in_dim", "squeeze", "reshape"}
 CHEAP |= {"convert_element_type"}
 

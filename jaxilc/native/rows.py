@@ -193,7 +193,9 @@ class Scan:
     def carried(self, row: Result) -> int | None:
         """Which of the carried numbers a result is, too; None if it is none of them."""
         outs = self.body.outs
-        same = (i for i in range(self.carry) if outs[i] is outs[row.number] and self.cells[i].size)
+        same = (
+            i for i in range(self.carry) if outs[i] is outs[row.number] and not self.unchanged(i)
+        )
         return next(same, None)
 
     def begin(self, i: int) -> Array:
@@ -1241,6 +1243,8 @@ def without_choices(of: Trials, segment: Segment) -> tuple[list[Node], Segment]:
     zero for all machines, in a sum: the slope of a largest error, on which nothing depends while no
     error is too large. Elsewhere the sign of this zero could count.
     """
+    if segment.last - segment.first < FEW_SAMPLES:
+        return [], segment
     n, conditions = of.n, dict[Node, None]()
     nodes = in_turn(segment.wanted)
     elsewhere = {*segment.wanted}.union(*(x.args for x in nodes if x.name not in ("add", "sub")))
@@ -1258,8 +1262,6 @@ def without_choices(of: Trials, segment: Segment) -> tuple[list[Node], Segment]:
                 return nothing
         return None
 
-    if segment.last - segment.first < FEW_SAMPLES:
-        return [], segment
     rest = _rewritten(of, segment, put)  # which finds the conditions
     return [*conditions], rest
 

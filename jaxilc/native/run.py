@@ -25,7 +25,7 @@ from ..runtime.tiles import tiled
 from ..runtime.xla_options import QUICKLY
 from ..schemes import Scheme
 from ..signals.task import Task
-from .code import agree, agreed, key_of, of_compiler, width
+from .code import WIDEST, agree, agreed, key_of, of_compiler, width
 from .loops import Back, Blocks, ByValue, Loop, Memories, There, Whole, real, size_of
 from .operations import foreign
 from .program import (
@@ -67,7 +67,6 @@ HELD_AT_ONCE = 2**24
 # and more, which took 1.1 to 1.3 times as long. With AVX-512, value and slopes of FFDL took 0.9 of
 # the time on one core and 0.7 to 0.8 on two, with AVX2 1.1 of it on one and as long on two.
 FEW_OPERATIONS = 24
-WIDEST = 64  # bytes of a register
 # of the largest number of a machine, by which the check may find a difference, by bytes of a number
 TOLERANCE = {8: 1e-9, 4: 1e-4}
 
@@ -189,7 +188,7 @@ class Compiled(Generic[Common, One, Found]):
         numbers = (stored - read) / trials / real().itemsize
         large = cache is not None and self.lanes * stored > 2 * cache
         block = self.lanes * stored * Blocks.of(trials).each / trials
-        few = FEW_OPERATIONS * self.lanes * real().itemsize / WIDEST * numbers
+        few = FEW_OPERATIONS * self.lanes * real().itemsize / max(WIDEST.values()) * numbers
         return large and 2 * block <= cache and there.operations <= few
 
     @property
