@@ -52,8 +52,8 @@ LATELY = 3  # samples back to which what a scan found stays in registers
 FEW_RUNS = 4  # of a constant condition, at whose ends a loop over samples is divided
 TAKES = {"div": 13, "sqrt": 20}  # cycles until a result is there
 USUALLY = 4
-EARLY = 0.3  # of the longest chain of a sample, what is computed a sample early
-MOST_EARLY = 10  # numbers of it, for which the processor has registers beside those of the rest
+EARLY = 0.45  # of the longest chain of a sample, what is computed a sample early
+MOST_EARLY = 40  # numbers of it, more of which would cost more to hand on than the wait
 FEW_SAMPLES = 100  # for which a loop over samples is not printed in two forms
 RUNS = 18  # into which samples that are gathered may fall apart
 MOST = {"concatenate": math.inf, "scatter": 2 * RUNS}  # a sample that is set parts what it is among
@@ -1189,7 +1189,8 @@ def begun_early(of: Trials, stores: Sequence[tuple[Buffer, int, Array]], wanted:
 
     A division waits for another one, and a processor looks only some hundred operations ahead. So
     the first part of a sample that depends on no sample before is computed one sample early, while
-    the rest of the sample before waits. CFDL-MFAILC took 0.9 of the time.
+    the rest of the sample before waits. CFDL-MFAILC took 0.9 of the time, and so did the slopes of
+    FFDL-MFAILC, of which 18 numbers are handed on.
 
     stores: what the loop writes;  wanted: the nodes that it needs
     handed: what is handed on from sample to sample;  d: 1 if it runs forward, -1 if backward
