@@ -35,25 +35,41 @@ def test_an_environment_measures_runs_and_gradients(monkeypatch):
     assert found == {"cfdl": 2.0, "cfdl gradient": 5.0, "ffdl": 2.0, "ffdl gradient": 5.0}
 
 
-@pytest.mark.skipif(os.name == "nt", reason="the matrix is a script for a POSIX shell")
-def test_a_python_that_is_missing_is_named_and_a_matrix_without_lines_fails(tmp_path):
-    """A shim that does not run, as pyenv has for versions that are not active, is none."""
+def run_matrix(folder: Path, **named: str) -> subprocess.CompletedProcess:
+    """Run the matrix where each Python on PATH is a shim that does not run, as pyenv has some."""
     for version in ("3.11", "3.12", "3.13"):
-        shim = tmp_path / f"python{version}"
+        shim = folder / f"python{version}"
         shim.write_text("#!/bin/sh\nexit 127\n")
         shim.chmod(0o755)
-    found = subprocess.run(
+    return subprocess.run(
         [ROOT / ".ci" / "matrix"],
-        env={"PATH": f"{tmp_path}:/usr/bin:/bin", "PYENV_ROOT": str(tmp_path), "PYTHON3_11": shim},
+        env={"PATH": f"{folder}:/usr/bin:/bin", "PYENV_ROOT": str(folder), **named},
         capture_output=True,
         text=True,
         timeout=60,
     )
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the matrix is a script for a POSIX shell")
+def test_a_python_that_is_missing_is_named_and_a_matrix_without_lines_fails(tmp_path):
+    found = run_matrix(tmp_path)
     assert found.stdout.splitlines() == [
         f"Python 3.{minor} is left out: no interpreter (PYTHON3_{minor} names one)"
         for minor in (11, 12, 13)
     ]
     assert found.returncode != 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the matrix is a script for a POSIX shell")
+@pytest.mark.parametrize("named", ["/nonexistent", sys.executable], ids=["none", "another version"])
+def test_a_named_python_that_is_not_of_its_version_stops_the_matrix(named, tmp_path):
+    """Else another one would be tested silently in its place. All are looked at before any runs."""
+    version = "3.13" if sys.version_info[:2] != (3, 13) else "3.12"
+    variable = f"PYTHON{version.replace('.', '_')}"
+    found = run_matrix(tmp_path, **{variable: named})
+    assert found.returncode != 0
+    assert found.stdout == ""
+    assert found.stderr.startswith(f"{variable} is {named}, which does not run as Python {version}")
 
 
 def test_the_other_lists_replace_packages_of_the_pinned_one():
