@@ -87,9 +87,9 @@ scheme, task = axis.schemes["ilc"], axis.task
 # %% [markdown]
 # ## The machine at the other end
 #
-# It reads the table, adds it to the input of its own PI feedback, and writes a trace: time,
-# reference, output, input, each with its unit. Its gain is 15 % higher than ours and its damping
-# 25 % lower, and its encoder is noisy.
+# It reads the table, adds it to what its own PI feedback gives to the plant, and writes a trace:
+# time, reference, output, input, each with its unit. Its gain is 15 % higher than ours and its
+# damping 25 % lower, and its encoder is noisy.
 
 # %%
 real = Machine(

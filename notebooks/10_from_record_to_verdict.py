@@ -147,7 +147,8 @@ print(Path("axis.design.toml").read_text()[:1500])
 # ## 6. Learn on the axis
 #
 # The controller plays a file, the encoder is recorded, and `next` makes the next file. Each trial
-# stands beside the band in which the plant file predicts it.
+# stands beside the band in which it is predicted: the first two by the plant file, the later ones
+# by the trials so far.
 
 # %%
 jaxilc("next --state campaign --scenario axis.design.toml --out next.csv")
