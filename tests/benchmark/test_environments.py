@@ -78,7 +78,7 @@ def test_the_other_lists_replace_packages_of_the_pinned_one():
         dict(line.split("==") for line in (ROOT / ".ci" / name).read_text().split())
         for name in ("requirements.txt", "requirements-newest.txt", "requirements-oldest.txt")
     )
-    assert newest.keys() < pinned.keys()
+    assert newest.keys() - pinned.keys() == {"msgspec"}  # which that Zarr needs
     assert oldest.keys() < pinned.keys()
     text = (ROOT / "pyproject.toml").read_text()
     assert f'"jax>=0.10.2,!=0.11.1",  # tested: {pinned["jax"]} and {newest["jax"]};' in text
