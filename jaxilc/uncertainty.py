@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .pytree.aliases import Tree, Value
-from .pytree.closest import not_one_of
+from .pytree.closest import need_known
 from .pytree.in_short import in_short
 from .pytree.named_paths import get_at, interval_at, kind_at, overlapping, replaced
 from .pytree.ranges import SEEDS, brief, require
@@ -218,9 +218,7 @@ class Population:
     __repr__ = in_short
 
     def __post_init__(self) -> None:
-        if self.sampling not in SAMPLINGS:
-            said = f"sampling = {brief(self.sampling)}"
-            raise ValueError(not_one_of(said, self.sampling, SAMPLINGS))
+        need_known(f"sampling = {brief(self.sampling)}", self.sampling, SAMPLINGS)
         if not isinstance(self.grid, Mapping):
             raise ValueError(
                 f"grid = {brief(self.grid)} is a {type(self.grid).__name__}; allowed are values by "

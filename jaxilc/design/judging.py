@@ -15,7 +15,7 @@ from ..learning.machine import Machine
 from ..learning.metrics import Keep
 from ..learning.over_trials import learn
 from ..pytree.aliases import Value
-from ..pytree.closest import not_one_of
+from ..pytree.closest import need_known
 from ..pytree.ranges import brief, require, share_text
 from ..schemes import Scheme
 from ..schemes.learning_filter import segments_of
@@ -149,10 +149,7 @@ class Question:
             require(owner, name, getattr(self, name), "[2, inf)", whole=True)
         require(owner, "highest", self.highest, "(0, inf]")
         known = (*(one.name for one in OF_TRIALS if one.swept), *self.quantities)
-        if self.metric not in known:
-            raise ValueError(
-                not_one_of(f"{owner}: metric = {brief(self.metric)}", self.metric, known)
-            )
+        need_known(f"{owner}: metric = {brief(self.metric)}", self.metric, known)
 
     def family(self, *, after: int = 0, machines: int = MACHINES, **how: Value) -> Family:
         """The responses of machines drawn with a seed so far `after` the own one; see `family_of`.

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..pytree.aliases import Leaf, Value
-from ..pytree.closest import not_one_of
+from ..pytree.closest import need_known
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import replaced, settable
 from ..pytree.needs import need_channels
@@ -166,8 +166,7 @@ class LearnedLaw(Question):
         require("LearnedLaw", "margin", self.margin, "(0, 0.9)")
         for name, least in (("trained_on", 1), ("held_out", 0), ("steps", 0)):
             require("LearnedLaw", name, getattr(self, name), f"[{least}, inf)", whole=True)
-        if self.start not in STARTS:
-            raise ValueError(not_one_of(f"start = {self.start!r}", self.start, STARTS))
+        need_known(f"start = {self.start!r}", self.start, STARTS)
         if self.task.inputs * self.task.outputs > 1 and self.start in ("p-type", "inverse"):
             raise ValueError(
                 f"LearnedLaw: start = {self.start!r} is not possible with {self.task.inputs} "

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from ..pytree.closest import not_one_of
+from ..pytree.closest import need_known
 from ..pytree.in_short import in_short
 from ..pytree.ranges import require
 from ..schemes import Scheme, WithFeedback
@@ -87,8 +87,7 @@ class Design(Question):
         super().__post_init__()
         require("Design", "steps", self.steps, "[2, inf)", whole=True)
         for name in self.laws:
-            if name not in LAWS:
-                raise ValueError(not_one_of(f"law = {name!r}", name, LAWS))
+            need_known(f"law = {name!r}", name, LAWS)
 
     def run(
         self, out: str | Path, *, resume: bool = False, told: Told = lambda stage, what: None

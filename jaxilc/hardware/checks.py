@@ -64,8 +64,7 @@ class Rules(NamedTuple):
             ("limit", "correction", "repeatability"), "(0, inf)"
         )
         for name, allowed in ranges.items():
-            if getattr(self, name) is not None:
-                require("", name, getattr(self, name), allowed)
+            require("", name, getattr(self, name), allowed, optional=True)
         for name in self.accept:
             if name not in ACCEPTED:
                 raise ValueError(f"accept = {name!r} is none of {', '.join(ACCEPTED)}")

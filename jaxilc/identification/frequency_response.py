@@ -231,8 +231,7 @@ def _std(
     read: _Reader, columns: dict[str, _Column], response, averages
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """(rows,) the standard deviation of each line, 0 where the file does not tell it; coherence."""
-    if averages is not None:
-        require("read_frequency_response", "averages", averages, "[2, inf)", whole=True)
+    require("read_frequency_response", "averages", averages, "[2, inf)", whole=True, optional=True)
     for kind in ("std", "variance"):
         if kind in columns:
             column = columns[kind]

@@ -812,8 +812,7 @@ def grow(
     record = checked_record(record)
     require("identify", "fit_share", fit_share, "(0, 1]")
     samples = round(fit_share * len(record.y))
-    if order is not None:
-        require("identify", "order", order, f"[1, {HIGHEST}]", whole=True)
+    require("identify", "order", order, f"[1, {HIGHEST}]", whole=True, optional=True)
     n_u, n_y = record.u.shape[1], record.y.shape[1]
     need_samples(samples * n_y, n_y + (order or 1) * (1 + n_u * n_y))
     need_excitation(record, samples)

@@ -392,8 +392,7 @@ def friction_of(force, position, dt: float, *, cutoff: float | None = None) -> F
     """
     force, position = (np.asarray(x, float).ravel() for x in (force, position))
     require("friction_of", "dt", dt, "(0, inf)")
-    if cutoff is not None:
-        require("friction_of", "cutoff", cutoff, f"(0, {float(0.4 / dt)}]")
+    require("friction_of", "cutoff", cutoff, f"(0, {float(0.4 / dt)}]", optional=True)
     if len(force) != len(position) or not np.all(np.isfinite([force, position])):
         raise ValueError(
             f"friction_of: force has {len(force)} samples and position {len(position)}; allowed "

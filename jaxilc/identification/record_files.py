@@ -118,8 +118,7 @@ def read_record_file(
     milliseconds, and for fewer than 2 rows.
     """
     for name, value in (("dt", dt), ("resample", resample)):
-        if value is not None:
-            require("read_record", name, value, "(0, inf)")
+        require("read_record", name, value, "(0, inf)", optional=True)
     inputs, outputs = (
         [names] if isinstance(names, str) else list(names) for names in (input, output)
     )
@@ -823,8 +822,7 @@ def read_repeats(
     that differ, and for trials whose lengths differ by more than 1 %.
     """
     for name, value in (("dt", dt), ("without", without)):
-        if value is not None:
-            require("read_repeats", name, value, "(0, inf)")
+        require("read_repeats", name, value, "(0, inf)", optional=True)
     trials, units, steps, names = [], [], [], []
     positions: list[tuple[np.ndarray, str | None]] = []
     for path in map(Path, paths):

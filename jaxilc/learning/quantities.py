@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..pytree.aliases import Array, Value
-from ..pytree.closest import not_one_of
+from ..pytree.closest import need_known
 from ..pytree.ranges import require
 from ..signals.contour import contour_error
 from ..signals.task import Task, Trial, samples_within
@@ -44,7 +44,7 @@ class ContourMetric:
     window: int
 
     def __post_init__(self) -> None:
-        _need_known("ContourMetric", self.of)
+        need_known(f"ContourMetric: of = {self.of!r}", self.of, WAYS)
         require("ContourMetric", "window", self.window, "[1, inf)", whole=True)
 
     def __call__(self, trial: Trial) -> Array:
@@ -82,7 +82,7 @@ class CountedMetric:
     samples: tuple[tuple[int, int], ...]
 
     def __post_init__(self) -> None:
-        _need_known("CountedMetric", self.of)
+        need_known(f"CountedMetric: of = {self.of!r}", self.of, WAYS)
 
     def __call__(self, trial: Trial) -> Array:
         rows = np.unique(np.concatenate([np.arange(*pair) for pair in self.samples]))
@@ -106,11 +106,6 @@ def counted_metrics(task: Task, windows: tuple[tuple[float, float], ...]) -> dic
         "counted_max": CountedMetric("largest", samples),
         "counted_rms": CountedMetric("root mean square", samples),
     }
-
-
-def _need_known(owner: str, of: str) -> None:
-    if of not in WAYS:
-        raise ValueError(not_one_of(f"{owner}: of = {of!r}", str(of), WAYS))
 
 
 def _in_one_number(of: str, e: Array, trial: Trial, rows: Value) -> Array:

@@ -62,6 +62,13 @@ def not_one_of(what: str, given: object, known: Iterable[str]) -> str:
     return f"{what} is unknown; {known_names(given, names)}"
 
 
+def need_known(what: str, given: object, known: Iterable[str]) -> None:
+    """Raises ValueError for a name that is not one of those known; what: as for `not_one_of`."""
+    names = list(known)
+    if given not in names:
+        raise ValueError(not_one_of(what, given, names))
+
+
 def listed(names: Iterable[object]) -> str:
     """Names with commas between them; where they would fill pages, the first and how many follow.
 

@@ -64,14 +64,18 @@ def require(
     *,
     whole: bool = False,
     many: bool = False,
+    optional: bool = False,
     note: str = "",
 ) -> None:
     """Raises ValueError for a value that is not a number in the interval.
 
     owner: class or function that has the parameter, the first word of the message; may be empty
     many: whether an array is allowed; the message names its first number outside the interval
+    optional: whether None is allowed, too
     note: text of the message after the interval, for instance `, the order`
     """
+    if optional and values is None:
+        return
     wanted = Interval.parse(interval)
     name = f"{owner}: {name}" if owner else name
     found = None if isinstance(values, bool | np.bool_) else as_numbers(values)

@@ -141,8 +141,7 @@ def lanes_for(
     """
     require(what, "machines", machines, "[1, inf)", whole=True)
     for name, size in (("memory", memory), ("of_a_machine", of_a_machine), ("beside", beside)):
-        if size is not None:
-            require(what, name, size, "[0, inf)")
+        require(what, name, size, "[0, inf)", optional=True)
     enough = 1 << int(machines - 1).bit_length()
     if memory is None:
         return min(WIDE, enough)

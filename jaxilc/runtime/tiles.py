@@ -37,8 +37,7 @@ def tiled(fn: Callable[[Tree, Tree], T], *, lanes: int | None = None) -> Callabl
     single element does not fit.
     """
     lanes = usual_lanes() if lanes is None else lanes
-    if lanes is not None:
-        require("tiled", "lanes", lanes, "[1, inf)", whole=True)
+    require("tiled", "lanes", lanes, "[1, inf)", whole=True, optional=True)
     mesh = Mesh(np.array(jax.devices()), ("tiles",))
     filled = cache(partial(_filled, fn, mesh))
     chosen: dict[Hashable, int] = {}

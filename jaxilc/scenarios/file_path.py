@@ -165,8 +165,7 @@ def _gcode(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, 
     rapid = table.take("rapid", _number, None)
     corner = table.take("corner", _corner, None)
     table.done()
-    if rapid is not None:
-        require("", table.at("rapid"), rapid, "(0, inf)")
+    require("", table.at("rapid"), rapid, "(0, inf)", optional=True)
     if setting.unit not in MILLIMETRE:
         raise ValueError(
             f"{table.where}: a program has lengths in mm, and the task has the unit "

@@ -25,7 +25,7 @@ from ..learning.over_trials import check
 from ..learning.quantities import contour_metrics, counted_metrics
 from ..plants.cnc_axis import Axes
 from ..pytree.aliases import Value
-from ..pytree.closest import not_one_of
+from ..pytree.closest import need_known, not_one_of
 from ..pytree.ranges import brief, require
 from ..schemes.at_samples import windows_of
 from ..storage.reading import PARSERS, read_tree
@@ -96,12 +96,10 @@ def load(name: str, **chosen) -> Scenario:
 
     Raises ValueError naming the allowed scenarios or options.
     """
-    if name not in SCENARIOS:
-        raise ValueError(not_one_of(f"scenario = {brief(name)}", name, SCENARIOS))
+    need_known(f"scenario = {brief(name)}", name, SCENARIOS)
     allowed = options(name)
     for option, value in chosen.items():
-        if option not in allowed:
-            raise ValueError(not_one_of(f"{name}: option {brief(option)}", option, allowed))
+        need_known(f"{name}: option {brief(option)}", option, allowed)
         if isinstance(allowed[option], str) and not isinstance(value, str):
             raise ValueError(f"{name}: option {option} = {brief(value)} is not text")
         if isinstance(allowed[option], float):

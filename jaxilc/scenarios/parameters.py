@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..pytree.aliases import Value
-from ..pytree.closest import not_one_of
+from ..pytree.closest import need_known
 from ..pytree.named_paths import settable
 from ..pytree.ranges import brief
 from ..runtime.provenance import describe, differences, environment
@@ -83,9 +83,7 @@ def with_parameters(scenario: Scenario, path: Path, asked: Sequence[str] = ()) -
     if name != scenario.name:
         raise ValueError(f"{path} has parameters of {brief(name)}, not of {scenario.name!r}")
     for scheme in schemes:
-        if scheme not in scenario.schemes:
-            what = f"{path}: scheme = {brief(scheme)}"
-            raise ValueError(not_one_of(what, scheme, scenario.schemes))
+        need_known(f"{path}: scheme = {brief(scheme)}", scheme, scenario.schemes)
     used = asked or scenario.schemes
     if not {*used} & {*schemes}:
         has = f"parameters of {', '.join(schemes)}, and " if schemes else ""

@@ -14,7 +14,7 @@ from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..learning.quantities import CountedMetric
 from ..pytree.aliases import Tree, Value
-from ..pytree.closest import known_names, not_one_of
+from ..pytree.closest import known_names, need_known, not_one_of
 from ..pytree.in_short import in_short
 from ..pytree.named_paths import allowed_at, get_at, owner_of, read_at, replaced, settable
 from ..pytree.ranges import brief, require
@@ -125,8 +125,7 @@ class Scenario:
             _need_shown(name, getattr(self.task, name), '[],;$"\\')
         _need_shown("shown_unit", self.shown_unit, '[],;$"\\')
         for limit in ("tolerance", "shown_scale"):
-            if getattr(self, limit) is not None:
-                require("", limit, getattr(self, limit), "(0, inf)")
+            require("", limit, getattr(self, limit), "(0, inf)", optional=True)
         if "contour" in self.task.names and "contour_max" in self.quantities:
             raise ValueError(
                 f"task.names = {list(self.task.names)} has 'contour', as tables call the error of "
@@ -193,8 +192,7 @@ class Scenario:
         """
         names = (names,) if isinstance(names, str) else names
         for name in names:
-            if name not in self.schemes:
-                raise ValueError(not_one_of(f"scheme = {name!r}", name, self.schemes))
+            need_known(f"scheme = {name!r}", name, self.schemes)
         if not names:
             return self
         left = {*self.schemes} - {*names}
@@ -277,7 +275,6 @@ def judged(scenario: Scenario, metric: str | None) -> Scenario:
     if metric is None:
         return scenario
     known = (*TUNED, *scenario.quantities)
-    if metric not in known:
-        raise ValueError(not_one_of(f"metric = {metric!r}", metric, known))
+    need_known(f"metric = {metric!r}", metric, known)
     tolerance = scenario.tolerance if metric == scenario.judged_by else None
     return dataclasses.replace(scenario, judged_by=metric, tolerance=tolerance)

@@ -90,8 +90,7 @@ def follow(
     moves = [step for step in steps if isinstance(step, Move)]
     if not moves:
         raise ValueError("the path has no move")
-    if corner is not None:
-        require("", "corner", corner, POSITIVE, ' mm, or "stop"')
+    require("", "corner", corner, POSITIVE, ' mm, or "stop"', optional=True)
     for move in moves:
         if not 0 < move.feed < np.inf:
             where = f"{move.what}: feed" if move.what else "feed"

@@ -91,8 +91,7 @@ def summarise(
             f"summarise: the dataset has a grid over {', '.join(axes_of(dataset))}; allowed is one "
             "point, dataset.sel({...}), or at_best(dataset, best_points(dataset))"
         )
-    if tolerance is not None:
-        require("summarise", "tolerance", tolerance, "(0, inf)")
+    require("summarise", "tolerance", tolerance, "(0, inf)", optional=True)
     dataset = over_all(dataset)
     if not {*OVER} <= {*dataset.dims}:
         raise ValueError(

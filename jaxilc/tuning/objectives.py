@@ -272,8 +272,7 @@ class Final(Objective):
 
     def __call__(self, run: Run):
         x = levels(run, self.metric, self.floor)
-        if self.trial is not None:
-            require("Final", "trial", self.trial, f"[1, {len(x)}]")
+        require("Final", "trial", self.trial, f"[1, {len(x)}]", optional=True)
         return x[-1 if self.trial is None else self.trial - 1]
 
 

@@ -91,8 +91,7 @@ def worst_case_search(
     from scipy.stats import qmc  # imported here, since it takes long
 
     for name, value in (("starts", starts), ("steps", steps), ("lanes", lanes)):
-        if value is not None:
-            require("worst_case_search", name, value, "[1, inf)", whole=True)
+        require("worst_case_search", name, value, "[1, inf)", whole=True, optional=True)
     require("worst_case_search", "seed", seed, SEEDS, whole=True)
     box = _Box("worst_case_search", subject, uncertainty)
     check_size(
