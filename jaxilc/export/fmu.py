@@ -8,7 +8,6 @@ Source: Functional Mock-up Interface Specification, versions 2.0.4 and 3.0.1, Mo
 
 from __future__ import annotations
 
-import hashlib
 import io
 import os
 import platform
@@ -25,6 +24,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..signals.task import Task
+from ..storage.sealed import checksum
 from .c import number
 
 
@@ -181,7 +181,7 @@ def packed(block: Block, *, version: int, compiler: str | None = None) -> bytes:
         the FMU holds the sources alone
     Raises RuntimeError if the compiler refuses the sources.
     """
-    token = hashlib.sha256(repr(sorted(block.files.items())).encode()).hexdigest()
+    token = checksum(repr(sorted(block.files.items())).encode())
     token = "{" + "-".join(token[a:b] for a, b in ((0, 8), (8, 12), (12, 16), (16, 20), (20, 32)))
     token += "}"
     sources = {**block.files, "block.h": _block_h(block, token)}

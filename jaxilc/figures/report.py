@@ -24,7 +24,7 @@ import numpy as np
 from rich.table import Table
 
 from ..runtime.provenance import describe, environment
-from ..storage.files import atomically
+from ..storage.files import write_file
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -196,9 +196,9 @@ def write_report(
     path: str | Path, title: str, asked: Mapping[str, object], *parts, **named
 ) -> Path:
     """Write the page of `html_report`, completely or not at all, and make its folder if needed."""
-    page = html_report(title, asked, *parts, **named).encode()
+    page = html_report(title, asked, *parts, **named)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    atomically(path, lambda file: file.write(page))
+    write_file(path, page)
     return Path(path)
 
 

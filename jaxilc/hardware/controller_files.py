@@ -38,7 +38,7 @@ from ..plants import PositionMap
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
 from ..signals.task import Task
-from ..storage.files import atomically
+from ..storage.files import atomically, write_file
 
 FORMATS = (".csv", ".mat", ".h")  # of what a machine plays
 
@@ -67,7 +67,7 @@ def write_schedules(
         return
     as_text = Path(path).suffix == ".csv"
     text = _as_text(schedules, task) if as_text else _as_header(schedules, task, trial, number)
-    atomically(path, lambda file: file.write(text.encode()))
+    write_file(path, text)
 
 
 def check_format(path: str | Path, number: str = "double") -> None:
@@ -209,7 +209,7 @@ def write_map(path: str | Path, learned: PositionMap, positions: Value) -> MapTa
                 for name, values in arrays.items()
             )
             text += "\n#endif\n"
-    atomically(path, lambda file: file.write(text.encode()))
+    write_file(path, text)
     return table
 
 

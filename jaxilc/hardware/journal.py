@@ -30,7 +30,7 @@ import numpy as np
 from ..learning.known_metrics import GATHERED
 from ..pytree.aliases import Leaf, Value
 from ..pytree.ranges import is_number
-from ..storage.files import atomically, is_temporary, whole_folder
+from ..storage.files import is_temporary, whole_folder, write_file
 from ..storage.sealed import (
     Damaged,
     archive,
@@ -401,7 +401,7 @@ def write_log(path: str | Path, rows: Sequence[Manifest]) -> Path:
     writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    atomically(path, lambda file: file.write(text.getvalue().encode()))
+    write_file(path, text.getvalue())
     return Path(path)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..scenarios.catalogue import LISTED
-from ..storage.files import atomically
+from ..storage.files import write_file
 from .outcome import Outcome, Table, Verdict
 from .request import Request
 
@@ -164,7 +164,7 @@ def init(
         content, *of_law = _of_record(content, record, file, (time, input, output))
         own = "uncertainty"
     file.parent.mkdir(parents=True, exist_ok=True)
-    atomically(file, lambda opened: opened.write(content.encode()))
+    write_file(file, content)
     said = f"{file} runs as it is; put your own {own} into it."
     following = Request(str(file)).following("run")
     verdict = Verdict((said, *of_law), "its first trials", following)

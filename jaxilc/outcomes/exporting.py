@@ -13,7 +13,7 @@ import numpy as np
 
 from ..pytree.aliases import Tree, Value
 from ..pytree.named_paths import named_leaves
-from ..storage.files import atomically
+from ..storage.files import write_file
 from ..storage.sealed import as_json, seal_of, write_json
 from .certifying import certificate_numbers, certificate_sentence, reason_lines
 from .outcome import Numbers, Outcome, Progress, Verdict, silent
@@ -163,7 +163,7 @@ def export(
             *(f"{text}; remove it" for text in of_others(Path(folder), made.files)),
         ),
         folder=Path(folder),
-        files={file: partial(_write, text) for file, text in made.files.items()}
+        files={file: partial(write_file, content=text) for file, text in made.files.items()}
         | {CERTIFICATE: lambda path: write_json(path, whole)},
     )  # fmt: skip
 
@@ -306,8 +306,3 @@ def _plant_file(source: str) -> dict[str, str] | None:
 
     path = Path(source)
     return {"path": str(path), "sha256": digest_of(path)} if path.is_file() else None
-
-
-def _write(content: str | bytes, path: Path) -> None:
-    data = content.encode() if isinstance(content, str) else content
-    atomically(path, lambda file: file.write(data))

@@ -14,13 +14,13 @@ The recipe of a campaign names them, so they are known without loading the file:
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..pytree.ranges import is_number
 from ..storage.reading import LARGEST_TREE, read_bytes
+from ..storage.sealed import checksum
 
 if TYPE_CHECKING:
     from ..pytree.aliases import Value
@@ -31,7 +31,7 @@ WEIGHTS = 6  # weights that are printed; there may be hundreds
 
 def digest_of(path: str | Path) -> str:
     """SHA-256 of the content of a file; raises OSError, and ValueError for what is no file."""
-    return hashlib.sha256(read_bytes(path, LARGEST_TREE)).hexdigest()
+    return checksum(read_bytes(path, LARGEST_TREE))
 
 
 def belongs_to(recipe: Mapping[str, Value]) -> dict[str, Value]:

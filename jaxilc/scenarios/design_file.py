@@ -12,7 +12,7 @@ import tomlkit
 from ..pytree.aliases import Tree, Value
 from ..pytree.fields import kind_of
 from ..schemes import Scheme
-from ..storage.files import atomically
+from ..storage.files import write_file
 from ..storage.reading import printable
 from .from_file import read_scenario
 from .parameters import plain, same
@@ -89,19 +89,14 @@ def write_with_scheme(path: Path, source: str, name: str, scheme: Scheme) -> tup
     """
     table = f"\n# Found by `jaxilc filter`.\n{toml_of({name: scheme})}"
     before = Path(source).read_text(encoding="utf-8") if Path(source).suffix == ".toml" else ""
-    write_text(path, before + table)
+    write_file(path, before + table)
     if before:
         try:
             read_scenario(path)
             return path, True
         except (ValueError, OSError):
-            write_text(path, table)
+            write_file(path, table)
     return path, False
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Write a text file completely or not at all."""
-    atomically(path, lambda file: file.write(text.encode()))
 
 
 # The plant file that a design leaves
@@ -178,5 +173,5 @@ def _with_tables(
         written = json.dumps(kept, indent=1, ensure_ascii=False) + "\n"
     else:
         written = f"{head}{without_tables(text, changed).rstrip()}\n\n{toml}"
-    write_text(path, written)
+    write_file(path, written)
     return path

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-import hashlib
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,7 +24,7 @@ from ..pytree.aliases import Value
 from ..pytree.ranges import brief, require
 from ..storage.columns import need_unit
 from ..storage.reading import LARGEST_TABLE, read_bytes, read_tree
-from ..storage.sealed import as_json, json_text, sealed, unsealed, write_json
+from ..storage.sealed import as_json, checksum, seal_of, sealed, unsealed, write_json
 from .specification import (
     Table,
     at_place,
@@ -94,10 +93,8 @@ def identified_plant(
 def _kept(record: Path, options: Options, folder: Path) -> Fit:
     """The fit that is kept, or a new one."""
     asked = {"format": FORMAT, **options._asdict()}
-    key = hashlib.sha256(json_text(asked).encode()).hexdigest()[:8]
-    checksum = hashlib.sha256(read_bytes(record, LARGEST_TABLE)).hexdigest()
-    kept = folder / f"{record.name}.{key}.fit.json"
-    known = as_json({"record": checksum, "options": asked})
+    kept = folder / f"{record.name}.{seal_of(asked)[:8]}.fit.json"
+    known = as_json({"record": checksum(read_bytes(record, LARGEST_TABLE)), "options": asked})
     with contextlib.suppress(ValueError, OSError, KeyError, TypeError):
         found = unsealed(read_tree(kept, ".json"))
         if {name: found[name] for name in known} == known:

@@ -27,13 +27,14 @@ from ..pytree.aliases import Value
 from ..pytree.named_paths import interval_at
 from ..schemes import Filtered, PIDType
 from ..signals.task import Task
+from ..storage.files import write_file
 from ..storage.reading import LARGEST_TREE, printable, read_text, tree_of
 from ..theory.frequency import Largest, Loop, grid, largest_of, linear_loop, response
 from ..theory.law import law_of
 from ..theory.loop import minimal
 from ..theory.on_lines import Lines, MeasuredResponse, low_pass, rounded, widest
 from ..uncertainty import Population, Uncertainty, Uniform
-from .design_file import toml_lines, toml_value, without_tables, write_text
+from .design_file import toml_lines, toml_value, without_tables
 from .file_task import distributions_in
 
 # The law to start with
@@ -325,7 +326,7 @@ def write_plant_file(
         found, facts, law, uncertainty=uncertainty, left_out=left_out,
         source=comment(source), unit=unit, input_unit=input_unit,
     )  # fmt: skip
-    write_text(path, text)
+    write_file(path, text)
     return law
 
 
@@ -476,7 +477,7 @@ def write_refitted(
             f"{source}: its table `machine` cannot get a sensor as it is written; write it under a "
             "heading of its own, such as [machine]"
         ) from None
-    write_text(path, new)
+    write_file(path, new)
     return path
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from zarr.core.buffer import Buffer
 from zarr.storage import LocalStore
 
-from .files import atomically, to_disk
+from .files import to_disk, write_file
 
 
 class DurableStore(LocalStore):
@@ -18,14 +18,14 @@ class DurableStore(LocalStore):
     """
 
     async def set(self, key: str, value: Buffer) -> None:
-        await asyncio.to_thread(write_file, self.root, key, value.to_bytes())
+        await asyncio.to_thread(write_below, self.root, key, value.to_bytes())
 
 
-def write_file(root: Path, key: str, content: bytes) -> None:
+def write_below(root: Path, key: str, content: bytes) -> None:
     """Write a file below a folder to the disk, and make the folders between them if needed."""
     path = root / key
     made = [folder for folder in path.parents if not folder.exists()]
     path.parent.mkdir(parents=True, exist_ok=True)
-    atomically(path, lambda file: file.write(content))
+    write_file(path, content)
     for folder in made:
         to_disk(folder.parent)

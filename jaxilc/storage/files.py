@@ -56,6 +56,12 @@ def atomically(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
+def write_file(path: str | Path, content: str | bytes) -> None:
+    """Write a file of a text, as UTF-8, or of bytes; completely or not at all, as `atomically`."""
+    whole = content.encode() if isinstance(content, str) else content
+    atomically(path, lambda file: file.write(whole))
+
+
 def need_free(path: str | Path) -> None:
     """Raises FileExistsError for a place where something is that is not to be gone on with.
 

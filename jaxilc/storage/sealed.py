@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .files import atomically
+from .files import write_file
 from .reading import LARGEST_TREE, read_bytes, read_text, tree_of
 
 if TYPE_CHECKING:
@@ -45,8 +45,7 @@ def as_json(value: object) -> Value:
 
 def write_json(path: str | Path, value: object) -> None:
     """Write a file of strict JSON completely or not at all."""
-    text = json_text(value).encode()
-    atomically(path, lambda file: file.write(text))
+    write_file(path, json_text(value))
 
 
 def read_json(path: str | Path) -> Value:

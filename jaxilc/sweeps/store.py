@@ -180,7 +180,7 @@ class Store:
 
         Raises ValueError if it is no store, was made with another configuration, or is in use.
         """
-        from ..storage.durable import DurableStore, write_file
+        from ..storage.durable import DurableStore, write_below
 
         path = Path(path)
         with ExitStack() as closing:
@@ -196,7 +196,7 @@ class Store:
                 file, wanted = path / name, content.to_bytes()
                 if not file.is_file() or file.read_bytes() != wanted:
                     log.warning("%s was missing or damaged, and is written again", file)
-                    write_file(path, name, wanted)
+                    write_below(path, name, wanted)
             return cls(DurableStore(path), layout, closing.pop_all(), path)
 
     def __enter__(self) -> Store:

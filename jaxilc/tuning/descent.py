@@ -22,7 +22,7 @@ from jax import lax
 
 from ..pytree.aliases import Leaf, Tree, Value
 from ..runtime.provenance import need_described, need_same
-from ..storage.files import atomically, need_free, only_one, remove_leftovers, to_disk, whole_folder
+from ..storage.files import need_free, only_one, remove_leftovers, to_disk, whole_folder, write_file
 from ..storage.reading import tree_of
 from ..storage.sealed import (
     Damaged,
@@ -396,7 +396,7 @@ class Folder:
         """Store the newest state, so that at any moment one of the two states is undamaged."""
         leaves = {f"arr_{i}": _plain(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
         content = archive(leaves | {"configuration": np.asarray(self._recipe)})
-        atomically(self.path / FRESH, lambda file: file.write(content))
+        write_file(self.path / FRESH, content)
         if self._newest_is_whole:  # else only the state before it is undamaged
             os.replace(self.path / STATE, self.path / PREVIOUS)
         os.replace(self.path / FRESH, self.path / STATE)

@@ -485,7 +485,7 @@ def test_a_full_disk_after_the_trial_is_stored_says_how_to_go_on(copied, monkeyp
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as broken:
-        broken.setattr(controller_files, "atomically", full)
+        broken.setattr(controller_files, "write_file", full)
         with pytest.raises(OSError, match="the campaign is stored; a call without --measured"):
             go_on(state, folder / "next.csv", "--undo", 9)
     go_on(state, folder / "next.csv")
