@@ -29,9 +29,9 @@ from ..learning.within_trial import run_trial
 from ..pytree.aliases import Tree
 from ..schemes import PIDType, Scheme, WithFeedback
 from ..signals.task import Task
-from ..theory.frequency import grid, linear_loop, response
+from ..theory.frequency import grid, response
 from ..theory.law import Law, Taps
-from ..theory.loop import Loop, minimal, pole_radius, radius_of, stable
+from ..theory.loop import Loop, loops_of, minimal, pole_radius, radius_of, stable
 from ..uncertainty import Population, Uncertainty, drawn_machines
 
 CORNERS = 5  # uncertain numbers up to which all corners of their intervals are taken
@@ -159,12 +159,11 @@ def family_of(
         drawn = {name: np.concatenate([drawn[name], corners[name][1:]]) for name in drawn}
     if besides:
         drawn = {name: np.concatenate([drawn[name], besides[name]]) for name in drawn}
-    several = jax.vmap(lambda one: one.unlimited().noiseless())(  # once limits are drawn, too
-        drawn_machines(machine, uncertainty, drawn)
-    )
+    machines = drawn_machines(machine, uncertainty, drawn)
+    machines = jax.vmap(lambda each: each.unlimited().noiseless())(machines)  # limits may be drawn
     short = Task(np.zeros((SHORT, task.outputs)), dt=task.dt, inputs=task.inputs)
     free = None if feedback is None else feedback.unlimited()
-    loops = [Loop(*one) for one in zip(*map(np.asarray, _loops(several, free, short)), strict=True)]
+    loops = loops_of(machines, free, short)
     _need_stable(loops, task)
     f = _lines(task, loops, points, taps)
     P = np.asarray(_responses(Loop(*map(np.stack, zip(*loops, strict=True))), f, task.dt))
@@ -211,13 +210,6 @@ def resonance_band(family: Family, dt: float) -> np.ndarray | None:
 
 # How it is done
 # --------------------------------------------------------------------------------------------------
-
-
-_loops = jax.jit(
-    lambda machines, feedback, task: jax.vmap(lambda one: linear_loop(one, feedback, task))(
-        machines
-    )
-)
 
 
 _responses = jax.jit(lambda loops, f, dt: jax.vmap(lambda loop: response(loop, f, dt))(loops))

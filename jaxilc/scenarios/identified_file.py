@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias, cast
 
-import jax
 import numpy as np
 
 from ..filters import ZeroPhaseButterworth
@@ -29,9 +28,9 @@ from ..schemes import Filtered, PIDType
 from ..signals.task import Task
 from ..storage.files import write_file
 from ..storage.reading import LARGEST_TREE, printable, read_text, tree_of
-from ..theory.frequency import Largest, Loop, grid, largest_of, linear_loop, response
+from ..theory.frequency import Largest, Loop, grid, largest_of
 from ..theory.law import law_of
-from ..theory.loop import minimal
+from ..theory.loop import loops_of, minimal, responses
 from ..theory.on_lines import Lines, MeasuredResponse, low_pass, rounded, widest
 from ..uncertainty import Population, Uncertainty, Uniform
 from .design_file import toml_lines, toml_value, without_tables
@@ -130,7 +129,8 @@ def starting_law(
     corners = "corners" if len(uncertainty) <= CORNERS else "sobol"
     machines = Population(machine, uncertainty, count=DRAWN, sampling=corners).machines
     f = grid(long, points=300, near=np.exp(np.asarray(plant.all_poles) * dt))
-    loops, P = _responses(machines, Task(np.zeros(16), dt=dt), f)
+    loops = loops_of(machines, None, Task(np.zeros(16), dt=dt))
+    P = responses(loops, f, dt)
     for largest in LARGEST:
         law = _largest_cutoff(P, f, dt, long, largest, round(plant.delay / dt))
         law = law and law._replace(cutoff=min(law.cutoff, rounded(highest, 2)))
@@ -175,18 +175,6 @@ def starting_task(
 
 # How it is done
 # --------------------------------------------------------------------------------------------------
-
-
-def _responses(machines, task: Task, f) -> tuple[list[Loop], np.ndarray]:
-    """The loop of each machine, and (S, F) P(z) at frequencies f (F,) [Hz]."""
-    loops, P = _compiled_responses(machines, task, f)
-    return [Loop(*one) for one in zip(*map(np.asarray, loops), strict=True)], np.asarray(P)
-
-
-@jax.jit
-def _compiled_responses(machines, task, f):
-    loops = jax.vmap(lambda one: linear_loop(one, None, task))(machines)
-    return loops, jax.vmap(lambda loop: response(loop, f, task.dt)[:, 0, 0])(loops)
 
 
 def _largest_cutoff(P, f, dt, task, largest, delay: int) -> StartingLaw | None:

@@ -57,6 +57,7 @@ from .lifted import lifted_plant
 from .linearity import invariant_loop, linear_law, of_last_trial, whole_trials
 from .loop import (
     Loop,
+    each_of,
     linear_loop,
     minimal,
     on_circle,
@@ -621,8 +622,7 @@ def loops_at(
     """
     common = (machine, scheme.unlimited(), task)
     run = tiled_with(_loop_of, names=tuple(uncertainty.items()))
-    matrices = run(common, jnp.asarray(points))
-    return [Loop(*one) for one in zip(*map(np.asarray, matrices), strict=True)]
+    return each_of(run(common, jnp.asarray(points)))
 
 
 _compiled_loop = jax.jit(linear_loop)

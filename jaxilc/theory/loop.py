@@ -137,6 +137,21 @@ def linear_loop(machine: Machine, scheme: Scheme | None, task: Task) -> Loop:
     return Loop(A, B, jax.jacfwd(lambda x: tick(fixed, rest._replace(x=x))[1])(rest.x))
 
 
+def loops_of(machines: Machine, scheme: Scheme | None, task: Task) -> list[Loop]:
+    """The loop of each of several machines that are stacked, as `linear_loop` has it."""
+    return each_of(_stacked_loops(machines, scheme, task))
+
+
+def each_of(loops: Loop) -> list[Loop]:
+    """Loops that are stacked, each by itself."""
+    return [Loop(*one) for one in zip(*map(np.asarray, loops), strict=True)]
+
+
+@jax.jit
+def _stacked_loops(machines, scheme, task) -> Loop:
+    return jax.vmap(lambda one: linear_loop(one, scheme, task))(machines)
+
+
 def response(loop: Loop, frequencies, dt: float) -> jax.Array:
     """(F, n_y, n_w) P(z) = C (z I - A)^-1 B at frequencies (F,) [Hz]."""
     z = on_circle(frequencies, dt)[:, None, None]
