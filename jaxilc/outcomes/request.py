@@ -268,9 +268,6 @@ def unless_there(place: Path, resume: bool) -> Path:
 # --------------------------------------------------------------------------------------------------
 
 
-SHOWN = 3  # settings in which a scenario differs, of those that are told
-
-
 def open_grid(folder: Path) -> xr.Dataset:
     """The dataset of a grid in a folder; raises ValueError if there is none, or it is damaged."""
     from ..sweeps.store import open_dataset, stored_configuration
@@ -303,6 +300,7 @@ def as_text(value: Value) -> str:
 
 def _need_same(folder, stored: Numbers, bare: Scenario, schemes, settings) -> None:
     """Raises ValueError where a sweep had another machine, task or law than `--set` explains."""
+    from ..pytree.closest import first_of
     from ..pytree.named_paths import owner_of
     from ..runtime.provenance import describe, differences
     from ..storage.sealed import as_json
@@ -314,14 +312,9 @@ def _need_same(folder, stored: Numbers, bare: Scenario, schemes, settings) -> No
     given = []
     for owner, path in (owner_of(path.partition("[")[0], bare.schemes) for path in settings):
         given.append(f"{owner}.{path}" if owner == "machine" else f"schemes.{owner}.{path}")
-    wrong = [
-        line
-        for line in differences(then, now)
-        if not any(line.startswith((f"{path}:", f"{path}.")) for path in given)
-    ]
+    wrong = differences(then, now, besides=given)
     if wrong:
-        more = f" and {len(wrong) - SHOWN} more" if len(wrong) > SHOWN else ""
         raise ValueError(
             f"--params {folder} is a grid of another scenario, or of other settings; it differs in "
-            f"{'; '.join(wrong[:SHOWN])}{more}"
+            f"{first_of(wrong, between='; ')}"
         )

@@ -16,6 +16,7 @@ from ..figures.style import labelled
 from ..figures.within_trial import outputs_of
 from ..learning.divergence import CEILING, GROWTH
 from ..learning.known_metrics import ERRORS, OF_TRIALS
+from ..pytree.closest import first_of
 from ..runtime.provenance import differences
 from ..scenarios import Published, Scenario
 from ..scenarios.reproduction import met
@@ -178,10 +179,9 @@ def _folder(asked: str | Path | None, name: str, made_with: Numbers, *, replace:
     asked = Path(asked)
     found = differing(asked)
     if found:
-        more = f" and {len(found) - 1} more" if found[1:] else ""
         raise FileExistsError(
-            f"{asked} holds a run of other settings ({found[0]}{more}); choose another --out, or "
-            "add --replace"
+            f"{asked} holds a run of other settings ({first_of(found, 1)}); choose another --out, "
+            "or add --replace"
         )
     return asked
 

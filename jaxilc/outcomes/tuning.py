@@ -16,7 +16,7 @@ from ..figures.searches import worst_by_effort
 from ..figures.style import labelled
 from ..learning.over_trials import check
 from ..pytree.aliases import Value
-from ..pytree.closest import listed
+from ..pytree.closest import first_of, listed
 from ..pytree.named_paths import get_at
 from ..pytree.ranges import share_text
 from ..scenarios import Scenario
@@ -352,11 +352,10 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path, *, by_last: bool = 
         f"{name} = {number(row['tuned'])} (was {number(row['given'])})"
         for name, row in numbers["weights"].items()
     ]
-    more = f" and {len(changed) - FEW} more" if len(changed) > FEW else ""
     median, worst = (
         f"{case.size(tuned[of])} in place of {case.size(given[of])}" for of in ("median", "worst")
     )
-    first = f"{', '.join(changed[:FEW])}{more}: "
+    first = f"{first_of(changed, FEW)}: "
     machines, drawn, what = numbers["samples"], numbers["drawn"], f"{case.error} of trial {last}"
     if drawn == "machines":
         first += f"of {machines} machines, the nominal one and {machines - 1} not seen, "

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
 CUTOFF = 0.65  # least share of equal characters, by difflib, of a name that is suggested
-MOST = 3  # names that a message suggests
+MOST = 3  # names that a message suggests, and further texts of which it gives the first
 LISTED = 12  # names that a message still lists after its suggestion
 ROOM = 600  # characters of a list of names, at most; further names are counted
 SHORTEST, LONGEST = 3, 100  # characters of a text to find within names, and to compare with them
@@ -76,9 +76,13 @@ def listed(names: Iterable[object]) -> str:
     """
     texts = [text if len(text) <= LONGEST else f"{text[:LONGEST]} ..." for text in map(str, names)]
     ends = list(accumulate(len(text) + 2 for text in texts))
-    shown = texts[: max(1, sum(end <= ROOM for end in ends))]
-    left = len(texts) - len(shown)
-    return (", ".join(shown) + f" and {left} more" * bool(left)) or "none"
+    return first_of(texts, max(1, sum(end <= ROOM for end in ends))) or "none"
+
+
+def first_of(texts: Sequence[str], most: int = MOST, between: str = ", ") -> str:
+    """The first of several texts, at most `most`, and how many follow."""
+    left = len(texts) - most
+    return between.join(texts[:most]) + (f" and {left} more" if left > 0 else "")
 
 
 def _plain(name: str) -> str:

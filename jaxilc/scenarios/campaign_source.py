@@ -18,6 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..pytree.closest import first_of
 from ..pytree.ranges import is_number
 from ..storage.reading import LARGEST_TREE, read_bytes
 from ..storage.sealed import checksum
@@ -79,8 +80,7 @@ def said_of_source(recipe: Mapping[str, Value]) -> list[str]:
     checksum = f", sha256 {str(found['sha256'])[:SHOWN]}" if found["sha256"] else ""
     said = [f"the campaign belongs to {found['source']}{checksum}; its scheme is {found['scheme']}"]
     weights = [f"{path} = {_brief(value)}" for path, value in found["weights"].items()]
-    more = len(weights) - WEIGHTS
-    listed = ", ".join(weights[:WEIGHTS]) + (f" and {more} more" if more > 0 else "")
+    listed = first_of(weights, WEIGHTS)
     if found["parameters"]:
         listed = f"those of {found['parameters']}" + (f": {listed}" if listed else "")
     return [*said, f"weights: {listed}"] if listed else said

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..pytree.aliases import Value
-from ..pytree.closest import need_known
+from ..pytree.closest import first_of, need_known
 from ..pytree.named_paths import settable
 from ..pytree.ranges import brief
 from ..runtime.provenance import describe, differences, environment
@@ -21,8 +21,6 @@ from ..schemes import Scheme
 from ..storage.sealed import as_json, read_json, write_json
 from . import Scenario
 from .specification import at_place
-
-SHOWN = 3  # differences of the machine that are told
 
 
 def differing(scheme: Scheme, printed: Scheme) -> dict[str, Value]:
@@ -107,12 +105,10 @@ def warn_of_another(scenario: Scenario, path: Path, settings: Iterable[str] = ()
         line
         for then, now in ((there.get("options"), dict(scenario.options)), (machine, here))
         if isinstance(then, Mapping)
-        for line in differences(then, now)
-        if not any(line.startswith((f"{path}:", f"{path}.")) for path in given)
+        for line in differences(then, now, besides=given)
     ]
     if lines:
-        more = f" and {len(lines) - SHOWN} more" if len(lines) > SHOWN else ""
-        said = f"{path} was found for another machine: {'; '.join(lines[:SHOWN])}{more}"
+        said = f"{path} was found for another machine: {first_of(lines, between='; ')}"
         warnings.warn(said, RuntimeWarning, stacklevel=3)
 
 
