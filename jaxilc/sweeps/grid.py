@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sized
+from collections.abc import Callable, Collection, Iterator, Mapping, Sized
 from contextlib import suppress
 from functools import cached_property
 from itertools import combinations, product
@@ -183,19 +183,13 @@ class Grid:
                     found.setdefault(part, {})[path] = values[at]
         return found
 
-    def variants(
-        self, parts: Parts, places: Iterable[tuple[int, ...]] | None = None
-    ) -> dict[str, Variant]:
-        """The variants by their names, scheme by scheme; raises ValueError as `replaced` does.
-
-        places: positions in the static axes, None for all
-        """
-        found, every = {}, product(*(range(axis.size) for axis in self.static))
-        for name, fixed in product(parts.schemes, every if places is None else places):
-            at = dict(zip(self.static, fixed, strict=True))
-            made = self.at({axis.name: i for axis, i in at.items()}, parts)
-            which = [f"{axis.name} = {axis.labels[axis.name][i]}" for axis, i in at.items()]
-            found[", ".join([name, *which])] = Variant(
+    def variants(self, parts: Parts) -> dict[str, Variant]:
+        """The variants by their names, scheme by scheme; raises ValueError as `replaced` does."""
+        found, positions = {}, product(*(range(axis.size) for axis in self.static))
+        for name, fixed in product(parts.schemes, positions):
+            place = dict(zip((axis.name for axis in self.static), fixed, strict=True))
+            made = self.at(place, parts)
+            found[", ".join([name, *([self._told(place)] if place else [])])] = Variant(
                 name, fixed, made.machine, made.schemes[name], made.task, made.trials
             )
         return found
@@ -247,8 +241,8 @@ class Grid:
     def check(self, population: Population, parts: Parts, quantities: Mapping[str, Value]) -> None:
         """Raises ValueError, naming the axis, for values with which a sweep cannot run.
 
-        Of each axis of leaves its ends are checked, of the static ones the ends and then all
-        values, and of drawn ends of trials the earliest. The numbers of the population are drawn.
+        At all ends of the axes of leaves all values of the static ones are checked, their ends
+        first, and of drawn ends of trials the earliest. The numbers of the population are drawn.
         """
         drawn = population.drawn
 
@@ -283,21 +277,22 @@ class Grid:
                 "replaces machine, task and schemes as a whole; allowed is one such axis, and the "
                 "other option set to one value"
             )
-        corners = product(*(axis.ends for axis in self.static))
-        for places in (
-            (corners, None) if self.static else ()
-        ):  # all take a minute where they are many
-            for name, variant in self.variants(parts, places).items():
-                _same_shape(name, parts.task, variant.task)
-                _named(check, variant.machine, variant.scheme, variant.task)
-                _named(allow, variant.machine, variant.task)
-        for axis in self.leaves:
-            for i in axis.ends:
-                here = self.at({axis.name: i}, parts)
-                for name, scheme in here.schemes.items():
-                    if {n.partition(".")[0] for n in axis.values} & {name, *_OTHERS}:
-                        _named(check, here.machine, scheme, here.task)
+        names = [axis.name for axis in self.axes]
+        ends = [axis.ends for axis in self.axes]
+        every = [range(axis.size) if axis.static else axis.ends for axis in self.axes]
+        # all take a minute where they are many
+        for positions in (ends, every) if self.static else (ends,):
+            for place in (dict(zip(names, at, strict=True)) for at in product(*positions)):
+                here = self.at(place, parts)
+                _same_shape(self._told(place), parts.task, here.task)
+                for scheme in here.schemes.values():
+                    _named(check, here.machine, scheme, here.task)
                 _named(allow, here.machine, here.task)
+
+    def _told(self, place: Mapping[str, int]) -> str:
+        """The values at these positions, as a name of a variant and a message have them."""
+        labels = {axis.name: axis.labels[axis.name] for axis in self.axes}
+        return ", ".join(f"{name} = {labels[name][i]}" for name, i in place.items())
 
     def described(self, schemes: Mapping[str, Scheme]) -> Json:
         """All that determines the numbers of a grid, and how its store is laid out, as JSON."""

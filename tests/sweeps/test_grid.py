@@ -1,6 +1,8 @@
 """A grid equals sweeps and runs with its values set by hand, and refuses what it cannot run."""
 
 import dataclasses
+from contextlib import nullcontext
+from itertools import product
 
 import numpy as np
 import pytest
@@ -13,8 +15,17 @@ import jaxilc
 from jaxilc import Sweep
 from jaxilc.figures import error_band
 from jaxilc.figures.within_trial import signal_of
+from jaxilc.filters import SwitchableFilter
 from jaxilc.runtime import capacity
-from jaxilc.schemes import FFDLMFAILC, PID, ModelFreeGradient
+from jaxilc.schemes import (
+    FFDLMFAILC,
+    PID,
+    Filtered,
+    LearningFilter,
+    ModelFreeGradient,
+    PIDType,
+    RepetitiveControl,
+)
 from jaxilc.sweeps import at_best, best_points, summarise
 from jaxilc.sweeps.store import open_dataset
 
@@ -267,6 +278,38 @@ def test_bad_grids_are_named_before_anything_runs(grid, message, monkeypatch):
     monkeypatch.setattr(Sweep, "host", None)
     with pytest.raises(ValueError, match=message):
         dataclasses.replace(ONE, grid=grid)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_grid_is_refused_where_one_of_its_points_is(seed, monkeypatch):
+    """Leaves were checked with the value that a static axis replaces, and then gave NaN."""
+    monkeypatch.setattr(Sweep, "host", None)
+    rng = np.random.default_rng(seed)
+    longest, period = rng.uniform(0.03, 0.06, 3).tolist(), rng.uniform(0.01, 0.05, 3)
+
+    def of(period, longest, grid):
+        law = RepetitiveControl(LearningFilter([0.5]), period, longest)
+        return dataclasses.replace(ONE, schemes={"law": law}, grid=grid)
+
+    grid = {"law.longest": longest, "law.period": period}
+    if max(period) < min(longest):
+        assert of(0.02, 0.01 + max(longest), grid).axes.size == 9
+    else:
+        with pytest.raises(ValueError, match="from what the law"):
+            of(0.02, 0.01 + max(longest), grid)
+    for x, y in product(period, longest):
+        with nullcontext() if x < y else pytest.raises(ValueError, match="from what the law"):
+            of(x, y, {})
+
+
+def test_leaves_are_checked_at_their_ends_together(monkeypatch):
+    """Each alone fits the segments."""
+    monkeypatch.setattr(Sweep, "host", None)
+    cut = SwitchableFilter([50.0, 90.0], times=[0.03], width=0.01)
+    one = dataclasses.replace(ONE, schemes={"law": Filtered(PIDType(0.5), cut)})
+    grid = {"law.filter.times[0]": [0.03, 0.02], "law.filter.width": [0.01, 0.025]}
+    with pytest.raises(ValueError, match=r"width = 0.025 s is outside .*\[0, 0.02\]"):
+        dataclasses.replace(one, grid=grid)
 
 
 @pytest.mark.parametrize("name", ["a.b", "a/b"])
