@@ -342,7 +342,7 @@ def tune_verdict(case: Case, numbers: Numbers, params: Path, *, by_last: bool = 
     kept = (math.isclose(row["tuned"], row["given"]) for row in numbers["weights"].values())
     unmoved = held["step"] == 0 and all(kept)  # and not another start, which no step has bettered
     if unmoved or not held["tuned"] < held["given"]:  # where the start was moved into its range
-        said = "No step was better than the weights as given on the machines held out."
+        said = "No step judged on the machines held out was better than the weights as given."
         if not held["steps"]:
             said = "No machine has a finite loss with the weights as given: nothing was tuned."
         if not case.uncertain:

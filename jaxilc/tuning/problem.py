@@ -113,7 +113,7 @@ class Tuning:
     objective, risk: number of one machine, and how the numbers of all machines are combined
     quantities: further metrics of a trial, by name, for the objective
     held_out: number of machines, drawn with seed + 1, whose loss selects the best iterate; with 0,
-        the training loss selects it
+        the machines that are trained on select it
     optimiser: `adam` (its rate falls to zero over the steps, by a cosine), `lbfgs` (with line
         search), any optax transformation (a configuration identifies its functions by their code
         and closures, not by what they read from a module), or `least-squares`: Levenberg-Marquardt
@@ -124,8 +124,9 @@ class Tuning:
     steps: largest number of steps
     starts: number K of starts; the first has the scheme's own values, the others lie around it with
         the standard deviation `scatter` on the real line
-    validate_every: steps from one computation of the held-out loss to the next
-    patience: number of these computations without improvement before the tuning stops
+    validate_every: steps from one computation of the held-out loss to the next; also the last step
+        is judged, and one between, which may be better by some per cent, is not
+    patience: number of these computations without improvement that are allowed
     mode: `forward` or `reverse` differentiation; `auto` is forward for up to FORWARD_UP_TO weights.
         On a CPU, a forward gradient took as long as 5, 7 and 12 runs without one for 1, 2 and 3
         weights (CFDL-MFAILC, 80 trials of 2000 samples; FFDL: 3, 5, 6). A reverse gradient took as
@@ -318,9 +319,9 @@ class Tuning:
         resume: bool = False,
         progress: Callable[[int, np.ndarray, float], None] | None = None,
     ) -> Tuned:
-        """Tune, and return the iterate with the least loss on the held-out machines.
+        """Tune, and return that of the judged iterates with the least loss on held-out machines.
 
-        Where no iterate has less than the weights as given, these are returned.
+        Where none of them has less than the weights as given, these are returned.
 
         A run that was killed at any moment and resumed ends with the numbers of an uninterrupted
         one, bit for bit. Where the newest state is damaged, it continues from the one before.

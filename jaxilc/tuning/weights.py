@@ -204,7 +204,7 @@ class Weights:
 class Tuned:
     """The result of a tuning.
 
-    values: weights by name, of the iterate with the least held-out loss, or `start`
+    values: weights by name, of the judged iterate with the least held-out loss, or `start`
     loss: (steps, K) training loss of each step and start
     slope: (steps, K) length of the gradient by z, which falls to 0 where a weight nears an end of
         its range, however the loss changes with the weight itself

@@ -581,7 +581,7 @@ def test_tune_says_what_was_gained_and_what_is_next(tmp_path):
     another_start["weights"]["lam"]["tuned"] = 1.0
     for numbers in (another_start, tuned(tuned=2.0), tuned(tuned=2.1)):
         nothing = tune_verdict(OF_TUNING, numbers, params)
-        assert "No step was better" in nothing.said[0]
+        assert "No step judged" in nothing.said[0]
         assert parsed(nothing)[1]["params"].name == "old.json"
     certain = tune_verdict(OF_TUNING._replace(uncertain=False), another_start, params)
     assert parsed(certain)[0] == "certify", "worst-case needs machines to draw"

@@ -234,6 +234,15 @@ def test_a_whole_number_of_numpy_is_one():
 
 
 @pytest.mark.thorough
+def test_how_often_steps_are_judged_changes_no_step(tuned):
+    each = dataclasses.replace(MANY, validate_every=1, patience=8).run()
+    np.testing.assert_array_equal(each.loss, tuned.loss)
+    judged = [0, 3, 6, 8]
+    np.testing.assert_array_equal(each.held_out[judged], tuned.held_out[judged])
+    assert each.after == np.min(each.held_out) <= np.min(each.held_out[judged]) == tuned.after
+
+
+@pytest.mark.thorough
 def test_patience_ends_it():
     still = dataclasses.replace(
         PROBLEM, optimiser=optax.set_to_zero(), steps=30, validate_every=1, patience=2
