@@ -255,6 +255,25 @@ def test_pid(form, options):
             assert form == "increment" or feedback.was["held"] > 5, "anti-windup should act"
 
 
+@pytest.mark.parametrize("kp", [2.0, -2.0])
+@pytest.mark.parametrize("ki", [0.0, 1.0, -1.0, 40.0, -40.0, 3e3, -3e3, 1e6])
+def test_no_gain_winds_the_integral_up(ki, kp):
+    """The error does not depend on u, stays on both sides of zero, and is mirrored in a channel."""
+    e = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 12), 20) * (1 + np.arange(240) / 240)
+    held = StateSpace(np.eye(2), np.zeros((2, 2)), np.eye(2))
+    task = Task(np.stack([e, -e], axis=1), dt=DT)
+    u = np.asarray(learn(Machine(held), PID(kp=kp, ki=ki, limit=2.5), task, 1).final.u)
+    np.testing.assert_array_equal(u[:, 1], -u[:, 0])
+    by_hand, integral = [], 0.0
+    for now in e[:-1]:
+        free = kp * now + integral + ki * DT * now
+        if not (abs(free) > 2.5 and np.sign(ki * now) == np.sign(free)):
+            integral += ki * DT * now
+        by_hand.append(np.clip(kp * now + integral, -2.5, 2.5))
+    np.testing.assert_allclose(u[:, 0], by_hand, rtol=1e-12, atol=1e-12)
+    assert {-2.5, 2.5} <= {*u[:, 0].tolist()}, "both limits act"
+
+
 @pytest.mark.thorough
 def test_feedforward_of_the_reference_in_closed_form():
     """An integrator follows exactly.
