@@ -222,6 +222,16 @@ class Campaign:
         measured = np.array([of["y"] for of in whole.values()])
         return calibration.expected(measured, np.array(simulated), self.task, next_step(live))
 
+    def of_other_sign(self, record: Trial, machine: Machine) -> list[Finding]:
+        """The refusal of a whole trial that is the nominal machine's but for the sign.
+
+        machine: the nominal machine of the plant file
+        """
+        memory = self.memory_of(self.journal.live()[-1])
+        nominal = np.asarray(_output(machine, self.scheme, self.task, memory, jax.random.key(0)))
+        accept, unit = self.rules.accept, self.task.unit
+        return checks.of_other_sign(np.asarray(record.y), nominal, accept, unit)
+
     def schedules(self, trial: int | None = None) -> dict[str, np.ndarray]:
         """The schedules to play after a trial, None for the last one; see `playback.schedules`."""
         return schedules(self.scheme, self.memory(trial), self.task)

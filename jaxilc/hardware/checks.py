@@ -541,6 +541,28 @@ def exchanged(y, r, accept: tuple[str, ...]) -> list[Finding]:
     return [_refused("frozen", f"{said}; suspected is the order of the columns", accept)]
 
 
+def of_other_sign(y, expected, accept: tuple[str, ...], unit: str) -> list[Finding]:
+    """Outputs that are much nearer to the expected ones with their sign changed than as they are.
+
+    From such a record a law learns in the wrong direction. Of a machine that is as expected but for
+    noise it is never so, and of n independent samples that have nothing to do with the expected
+    ones with a chance below 0.8^n.
+
+    y, expected: (N+1, n_y) outputs, measured and of the nominal machine
+    """
+    off, turned = (np.sqrt(np.mean(x**2, axis=0)) for x in (y - expected, y + expected))
+    text = (
+        "{} is {:.3g}{} (rms) away from what the plant file expects, with the other sign {:.3g}; "
+        "suspected is the sign of the column, or of the plant's gain in the file"
+    )
+    names = ["y"] if len(off) == 1 else [f"y{i}" for i in range(len(off))]
+    return [
+        _refused("frozen", text.format(name, far, spaced(unit), near), accept)
+        for name, far, near in zip(names, off, turned, strict=True)
+        if near < NEARER * far
+    ]
+
+
 def _longest_run(s) -> tuple[int, int]:
     """The first and the last sample of the longest run of equal values."""
     ends = np.flatnonzero(np.concatenate([np.diff(s) != 0, [True]]))

@@ -1,11 +1,13 @@
 """What is not of a machine, or not of this trial, is refused: seen on a drive in plain NumPy."""
 
 import shlex
+from itertools import product
 
 import campaigns_with_faults as faults
 import numpy as np
 import pytest
-from rigs_of_many_kinds import cylinder
+import scipy.signal
+from rigs_of_many_kinds import RIGS, cylinder
 from two_mass_rig import DT, Rig, read_schedule, stroke
 
 from jaxilc.hardware import Rules, checks
@@ -148,6 +150,35 @@ def test_an_input_that_is_not_the_one_to_play_is_refused():
 def test_rules_name_what_is_accepted():
     with pytest.raises(ValueError, match="accept = 'all' is none of frozen, jump"):
         Rules(accept=("all",)).checked()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_drive_in_order_is_taken_for_one_of_the_other_sign(seed):
+    """All ten drives, in trials that play nothing, a part of the motion, and all of it."""
+    lag = np.exp(-50 * DT)
+    for j, (rig, share) in enumerate(product(RIGS, (0.0, 0.01, 0.7, 1.0))):
+        u = share * R[:-1]
+        y = rig(u, 100 * seed + j)[:, None]
+        nominal = np.append(0.0, scipy.signal.lfilter([1 - lag], [1, -lag], u))[:, None]
+        assert checks.of_other_sign(y, nominal, (), "mm") == []
+        assert len(checks.of_other_sign(-y, nominal, (), "mm")) == (share > 0)
+    noise = np.random.default_rng(seed).standard_normal((1000, len(R), 2))
+    assert not any(checks.of_other_sign(y, noise[0], (), "mm") for y in noise)
+
+
+def test_a_first_trial_of_the_other_sign_is_refused(tmp_path):
+    """It was learned from: three trials on, the input was twice the stroke."""
+    schedule, file = tmp_path / "next.csv", tmp_path / "1.csv"
+    assert faults.begun(tmp_path, None, tmp_path / "x", schedule)[0] == 0
+    learn = ("next", "--state", tmp_path / "x", "--measured", file, "--out", schedule)
+    u = read_schedule(schedule)
+    y = Rig().play(u, 1)
+    faults.write_trial(file, R, -y, u)
+    code, told = faults.call(*learn)
+    assert code == 3
+    assert "suspected is the sign of the column, or of the plant's gain in the file; --set" in told
+    faults.write_trial(file, R, y, u)
+    assert faults.call(*learn)[0] == 0
 
 
 def test_a_dead_encoder_is_refused_without_a_file_and_the_campaign_goes_on(tmp_path, monkeypatch):
