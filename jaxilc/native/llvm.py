@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Callable, Iterable, Sequence
+from functools import reduce
 
 import numpy as np
 
@@ -41,6 +42,7 @@ from .rows import (
     begun_early,
     handed_on,
     in_turn,
+    reached,
     small,
     without_choices,
 )
@@ -74,13 +76,45 @@ class Lines:
     def do(self, text: str) -> None:
         self.lines.append(f"  {text}")
 
-    def place(self, base: str, offset: int | str) -> str:
-        """The pointer to what is so many bytes behind another."""
-        return self.add(f"getelementptr i8, ptr {base}, i64 {offset}")
+    def place(self, base: str, offset: int | str, kind: str = "i8") -> str:
+        """The pointer to what is so many bytes, or numbers of another kind, behind another."""
+        return self.add(f"getelementptr {kind}, ptr {base}, i64 {offset}")
 
     def field(self, base: str, offset: int, kind: str = "ptr") -> str:
         """What is there."""
         return self.add(f"load {kind}, ptr {self.place(base, offset)}")
+
+    def pointers(self, base: str, count: int) -> list[str]:
+        """The first pointers at a place."""
+        return [self.field(base, 8 * i) for i in range(count)]
+
+    def times(self, x: str, factor: int, more: int | str | None = None) -> str:
+        """A whole number times another, and more."""
+        product = self.add(f"mul i64 {x}, {factor}")
+        return product if more is None else self.add(f"add i64 {product}, {more}")
+
+    def label(self) -> str:
+        self.count += 1
+        return f"b{self.count}"
+
+    def loop(self, first: str, last: str, step: int = 1) -> tuple[str, list[str]]:
+        """Begin a loop; its counter, and the lines that end it."""
+        before, head, after = self.label(), self.label(), self.label()
+        self.do(f"br label %{before}")
+        self.lines.append(f"{before}:")
+        self.do(f"br label %{head}")
+        self.lines.append(f"{head}:")
+        self.count += 1
+        k, name = f"%k{self.count}", f"%n{self.count}"
+        self.do(f"{k} = phi i64 [{first}, %{before}], [{name}, %{head}e]")
+        end = [
+            f"  br label %{head}e", f"{head}e:",
+            f"  {name} = add i64 {k}, {step}",
+            f"  %c{self.count} = icmp ne i64 {name}, {last}",
+            f"  br i1 %c{self.count}, label %{head}, label %{after}",
+            f"{after}:",
+        ]  # fmt: skip
+        return k, end
 
 
 class Text(Lines):
@@ -110,6 +144,11 @@ class Text(Lines):
         self.straight: dict[Node, str] = {}
         self.inside: dict[Node, str] = {}
         self.asking: dict[tuple[Buffer, int], int] = {}
+        self.read: dict[Buffer, str] = {}  # the pointers to rows that a trial reads, and writes
+        self.written: dict[Buffer, str] = {}
+        self.rooms: dict[Buffer, str] = {}
+        self.others: dict[Buffer, str] = {}  # to which those that are written elsewhere go
+        self.turns: dict[Buffer, tuple[str, str]] = {}  # where both pointers of those are
         self.work = 0
         self.taped = _taped(plan)
         self.passed = _passed(plan)
@@ -118,10 +157,6 @@ class Text(Lines):
 
     # Lines
     # ----------------------------------------------------------------------------------------------
-
-    def label(self) -> str:
-        self.count += 1
-        return f"b{self.count}"
 
     def type_of(self, dtype: np.dtype) -> str:
         return f"<{self.lanes} x {_scalar(dtype)}>"
@@ -143,30 +178,11 @@ class Text(Lines):
             f"shufflevector {vector} {first}, {vector} poison, <{self.lanes} x i32> zeroinitializer"
         )
 
-    def loop(self, first: str, last: str, step: int = 1) -> tuple[str, list[str]]:
-        """Begin a loop; its counter, and the lines that end it."""
-        before, head, after = self.label(), self.label(), self.label()
-        self.do(f"br label %{before}")
-        self.lines.append(f"{before}:")
-        self.do(f"br label %{head}")
-        self.lines.append(f"{head}:")
-        self.count += 1
-        k, name = f"%k{self.count}", f"%n{self.count}"
-        self.do(f"{k} = phi i64 [{first}, %{before}], [{name}, %{head}e]")
-        end = [
-            f"  br label %{head}e", f"{head}e:",
-            f"  {name} = add i64 {k}, {step}",
-            f"  %c{self.count} = icmp ne i64 {name}, {last}",
-            f"  br i1 %c{self.count}, label %{head}, label %{after}",
-            f"{after}:",
-        ]  # fmt: skip
-        return k, end
-
     def load(self, base: str, index: str, dtype: np.dtype, *, alike: bool) -> str:
         """The numbers at a place of an array in RAM."""
         kind = self.stored_type(dtype, alike=alike)
-        place = self.add(f"getelementptr {kind}, ptr {base}, i64 {index}")
-        found = self.add(f"load {kind}, ptr {place}, align {dtype.itemsize}")
+        found = self.add(f"load {kind}, ptr {self.place(base, index, kind)}, "
+                         f"align {dtype.itemsize}")  # fmt: skip
         if alike:
             found = self.splat(found, kind)
         if dtype.kind == "b":
@@ -180,8 +196,7 @@ class Text(Lines):
 
     def _ask_for(self, buffer: Buffer, index: str) -> None:
         """Let the processor bring a number into its cache; there need not be one."""
-        kind = self.stored_type(buffer.dtype)
-        place = self.add(f"getelementptr {kind}, ptr {self._base(buffer)}, i64 {index}")
+        place = self.place(self.read[buffer], index, self.stored_type(buffer.dtype))
         self.declared.add("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
         self.do(f"call void @llvm.prefetch.p0(ptr {place}, i32 0, i32 3, i32 1)")
 
@@ -189,7 +204,7 @@ class Text(Lines):
         kind = self.stored_type(dtype)
         if dtype.kind == "b":
             value = self.add(f"zext {self.type_of(dtype)} {value} to {kind}")
-        place = self.add(f"getelementptr {kind}, ptr {base}, i64 {index}")
+        place = self.place(base, index, kind)
         self.do(f"store {kind} {value}, ptr {place}, align {dtype.itemsize}")
 
     # Nodes
@@ -217,15 +232,13 @@ class Text(Lines):
             case Given(number, m):
                 at = str(m)
                 if node.name == "by_trial":
-                    size = math.prod(self.plan.body.ins[number].shape)
-                    at = self.add(f"mul i64 %j, {size}")
-                    at = self.add(f"add i64 {at}, {m}")
-                return self.load(f"%g{number}", at, node.dtype, alike=node.alike)
+                    at = self.times(self.trial, math.prod(self.plan.body.ins[number].shape), m)
+                return self.load(self.given[number], at, node.dtype, alike=node.alike)
             case At(buffer, sign, c, m):
                 index = self._index(k, sign, c, buffer.width, m)
                 if (ahead := self.asking.pop((buffer, m), None)) is not None:
                     self._ask_for(buffer, self.add(f"add i64 {index}, {ahead * buffer.width}"))
-                return self.load(self._base(buffer), index, node.dtype, alike=buffer.alike)
+                return self.load(self.read[buffer], index, node.dtype, alike=buffer.alike)
             case Sample(sign, c):
                 index = self._index(k, sign, c, 1, 0)
                 wide = self.splat(index, "i64")
@@ -339,13 +352,12 @@ class Text(Lines):
         assert k is not None
         if not k.startswith("%"):
             return str((sign * int(k) + c) * width + m)
-        at = self.add(f"mul i64 {k}, {sign * width}")
-        return self.add(f"add i64 {at}, {c * width + m}")
+        return self.times(k, sign * width, c * width + m)
 
     def _row(self, node: Node, where: AtIndex, index: str) -> str:
         """Number m of the row of a table at an index, which may be another for each machine."""
         buffer, m, _ = where
-        base, kind = self._base(buffer), self.type_of(node.args[0].dtype)
+        base, kind = self.read[buffer], self.type_of(node.args[0].dtype)
         alike = node.args[0].alike
         scalar = _scalar(node.args[0].dtype)
         found = "poison"
@@ -353,15 +365,13 @@ class Text(Lines):
             at = self.add(f"extractelement {kind} {index}, i32 {lane}")
             if scalar != "i64":
                 at = self.add(f"sext {scalar} {at} to i64")
-            at = self.add(f"mul i64 {at}, {buffer.width}")
-            at = self.add(f"add i64 {at}, {m}")
+            at = self.times(at, buffer.width, m)
             if alike:
                 return self.load(base, at, buffer.dtype, alike=buffer.alike)
             if not buffer.alike:
-                at = self.add(f"mul i64 {at}, {self.lanes}")
-                at = self.add(f"add i64 {at}, {lane}")
+                at = self.times(at, self.lanes, lane)
             one = self.stored_type(buffer.dtype, alike=True)
-            place = self.add(f"getelementptr {one}, ptr {base}, i64 {at}")
+            place = self.place(base, at, one)
             value = self.add(f"load {one}, ptr {place}, align {buffer.dtype.itemsize}")
             if one == "i8":
                 value = self.add(f"trunc i8 {value} to i1")
@@ -380,26 +390,19 @@ class Text(Lines):
         self.cells[name] = self.type_of(cell.dtype)
         return name
 
+    def _put_all(self, cells: Iterable[Node], values: Iterable[str]) -> None:
+        for cell, value in zip(cells, values, strict=True):
+            self._put(cell, value)
+
     def _put(self, cell: Node, value: str) -> None:
         kind = self.type_of(cell.dtype)
         self.do(f"store {kind} {value}, ptr {self._cell(cell)}")
 
-    def _base(self, buffer: Buffer) -> str:
-        """The pointer to the rows of a buffer that are read."""
-        if buffer.kind == "given":
-            return f"%t{buffer.number}" if buffer.by_trial else f"%g{buffer.number}"
-        return f"%{buffer.kind}{buffer.number}"
-
-    def _target(self, buffer: Buffer) -> str:
-        """The pointer to the rows of a buffer that are written."""
-        moves = buffer in self.doubled or buffer in self.taped
-        return f"%next{buffer.number}" if moves else self._base(buffer)
-
-    def _room(self, buffer: Buffer) -> int:
-        """The place in the working memory for a buffer."""
+    def _room(self, buffer: Buffer) -> str:
+        """The place of a buffer in the working memory."""
         place = self.work
         self.work += aligned(buffer.size * buffer.dtype.itemsize * self.lanes)
-        return place
+        return self.place("%work", place)
 
     # The function
     # ----------------------------------------------------------------------------------------------
@@ -436,30 +439,21 @@ class Text(Lines):
 
     def _group(self) -> None:
         plan, body = self.plan, self.plan.body
-        for i in range(len(body.ins) + len(plan.given)):
-            at = self.add(f"getelementptr ptr, ptr %given, i64 {i}")
-            self.do(f"%in{i} = load ptr, ptr {at}")
-        for i in range(len(body.outs)):
-            at = self.add(f"getelementptr ptr, ptr %out, i64 {i}")
-            self.do(f"%o{i} = load ptr, ptr {at}")
+        given = self.pointers("%given", len(body.ins) + len(plan.given))
+        self.results = self.pointers("%out", len(body.outs))
         for buffer in plan.buffers:
             if buffer.kind in ("carried", "kept"):
-                self.do(f"%room{buffer.number} = getelementptr i8, ptr %work, "
-                        f"i64 {self._room(buffer)}")  # fmt: skip
+                self.rooms[buffer] = self._room(buffer)
             if buffer in self.doubled:
-                self.do(f"%other{buffer.number} = getelementptr i8, ptr %work, "
-                        f"i64 {self._room(buffer)}")  # fmt: skip
-                self.do(f"%a{buffer.number} = alloca ptr")
-                self.do(f"%b{buffer.number} = alloca ptr")
+                self.others[buffer] = self._room(buffer)
+                self.turns[buffer] = self.add("alloca ptr"), self.add("alloca ptr")
         group, end = self.loop("%first", "%last")
         for i, x in enumerate(body.ins):
             alike = plan.alike[i]
             by_trial = plan.trials if i >= plan.consts + plan.carry else 1
-            size = 0 if alike else math.prod(x.shape) * by_trial
-            at = self.add(f"mul i64 {group}, {size}")
-            self.do(f"%g{i} = getelementptr {self.stored_type(x.dtype)}, ptr %in{i}, i64 {at}")
-        for i in range(len(body.ins), len(body.ins) + len(plan.given)):
-            self.do(f"%g{i} = getelementptr i8, ptr %in{i}, i64 0")
+            at = self.times(group, 0 if alike else math.prod(x.shape) * by_trial)
+            given[i] = self.place(given[i], at, self.stored_type(x.dtype))
+        self.given = given
         self._begin(group)
         self._trials(group)
         self._end(group)
@@ -477,31 +471,36 @@ class Text(Lines):
             number = plan.consts + i
             alike = plan.alike[number]
             if isinstance(x, Stored):
+                room = self.rooms[x.buffer]
                 if x.buffer.size:
-                    target = f"%room{number}"
+                    target = room
                     if x.buffer in self.taped:
-                        at = self.add(f"mul i64 {group}, {plan.trials}")
-                        target = self._of_trial(x.buffer, self.add(f"add i64 {at}, %begin"))
-                    self._copy(x.buffer, f"%g{number}", target, alike=alike)
+                        target = self._of_trial(x.buffer, self.times(group, plan.trials, "%begin"))
+                    self._copy(x.buffer, self.given[number], target, alike=alike)
                 if x.buffer in self.doubled:
-                    self.do(f"store ptr %room{number}, ptr %a{number}")
-                    self.do(f"store ptr %other{number}, ptr %b{number}")
+                    self._take_turns(x.buffer, room, self.others[x.buffer])
             else:
                 for m, cell in enumerate(x.flat):
-                    value = self.load(f"%g{number}", str(m), cell.dtype, alike=alike)
+                    value = self.load(self.given[number], str(m), cell.dtype, alike=alike)
                     self._put(cell, value)
+
+    def _take_turns(self, buffer: Buffer, read: str, written: str) -> None:
+        """Let the next trial read what was written, where both are kept apart."""
+        for pointer, place in zip((read, written), self.turns[buffer], strict=True):
+            self.do(f"store ptr {pointer}, ptr {place}")
+
+    def _rows(self, buffer: Buffer, base: str, number: str, *, alike: bool = False) -> str:
+        """The place of the rows of a buffer, of which there are more, by their number."""
+        at = self.times(number, buffer.size)
+        return self.place(base, at, self.stored_type(buffer.dtype, alike=alike))
 
     def _of_trial(self, carried: Buffer, trial: str) -> str:
         """The place among the results for what is carried into a trial."""
-        at = self.add(f"mul i64 {trial}, {carried.size}")
-        kind = self.stored_type(carried.dtype)
-        return self.add(f"getelementptr {kind}, ptr %o{self.taped[carried].number}, i64 {at}")
+        return self._rows(carried, self.results[self.taped[carried].number], trial)
 
     def _given_for(self, given: Buffer, trial: str) -> str:
         """The place of the rows that are given for a trial."""
-        at = self.add(f"mul i64 {trial}, {given.size}")
-        kind = self.stored_type(given.dtype, alike=given.alike)
-        return self.add(f"getelementptr {kind}, ptr %g{given.number}, i64 {at}")
+        return self._rows(given, self.given[given.number], trial, alike=given.alike)
 
     def _copy(self, buffer: Buffer, source: str, target: str, *, alike: bool = False) -> None:
         """Copy the rows of a buffer, which have one number for all machines if they are alike."""
@@ -515,64 +514,55 @@ class Text(Lines):
         if plan.reverse:
             ends = self.add("sub i64 %end, 1"), self.add("sub i64 %begin, 1"), -1
         j, end = self.loop(*ends)
-        self.do(f"%j = add i64 {j}, 0")
-        self.straight = {}
-        first = self.add(f"mul i64 {group}, {plan.trials}")
-        trial = self.add(f"add i64 {first}, {j}")
+        self.trial, self.straight = j, {}
+        trial = self.times(group, plan.trials, j)
         for buffer in plan.buffers:
-            n = buffer.number
+            read = written = self.rooms.get(buffer, "")
             if buffer in self.doubled:
-                self.do(f"%carried{n} = load ptr, ptr %a{n}")
-                self.do(f"%next{n} = load ptr, ptr %b{n}")
+                read, written = (self.add(f"load ptr, ptr {x}") for x in self.turns[buffer])
             elif buffer in self.taped:
                 last = self.add(f"icmp eq i64 {self.add('sub i64 %end, 1')}, {j}")
                 after = self._of_trial(buffer, self.add(f"add i64 {trial}, 1"))
-                self.do(f"%carried{n} = getelementptr i8, ptr {self._of_trial(buffer, trial)}, "
-                        "i64 0")  # fmt: skip
-                self.do(f"%next{n} = select i1 {last}, ptr %room{n}, ptr {after}")
+                read = self._of_trial(buffer, trial)
+                written = self.add(f"select i1 {last}, ptr {written}, ptr {after}")
             elif buffer in self.passed:
                 begun = self.add(f"icmp eq i64 {j}, {ends[0]}")
                 before = self._given_for(self.passed[buffer], self.add(f"sub i64 {j}, {ends[2]}"))
-                self.do(f"%carried{n} = select i1 {begun}, ptr %room{n}, ptr {before}")
-            elif buffer.kind in ("carried", "kept"):
-                self.do(f"%{buffer.kind}{n} = getelementptr i8, ptr %room{n}, i64 0")
-            elif buffer.by_trial and buffer.kind == "given":
-                self.do(f"%t{n} = getelementptr i8, ptr {self._given_for(buffer, j)}, i64 0")
-            elif buffer.by_trial:
-                at = self.add(f"mul i64 {trial}, {buffer.size}")
-                self.do(f"%out{n} = getelementptr {self.stored_type(buffer.dtype)}, ptr %o{n}, "
-                        f"i64 {at}")  # fmt: skip
+                read = self.add(f"select i1 {begun}, ptr {read}, ptr {before}")
+            elif buffer.kind == "given":
+                read = self._given_for(buffer, j) if buffer.by_trial else self.given[buffer.number]
+            elif buffer.kind == "out":
+                written = self._rows(buffer, self.results[buffer.number], trial)
+            self.read[buffer], self.written[buffer] = read, written
         for number in range(len(plan.loops) + 1):
             self.values(plan.picks.get(number, []))
             if number < len(plan.loops):
                 self._loop(plan.loops[number])
         self._results(trial)
         for buffer in self.doubled:
-            self.do(f"store ptr %next{buffer.number}, ptr %a{buffer.number}")
-            self.do(f"store ptr %carried{buffer.number}, ptr %b{buffer.number}")
+            self._take_turns(buffer, self.written[buffer], self.read[buffer])
         self.lines += end
 
     def _results(self, trial: str) -> None:
         """What each trial gives, and the single numbers that it carries to the next one."""
         plan = self.plan
-        new: list[tuple[Node, str]] = []
+        new: dict[Node, str] = {}
         for i, x in enumerate(plan.outs):
             if isinstance(x, Row):
                 continue
             values = self.values(x.flat)
             if i < plan.carry:
                 cells = small(plan.ins[plan.consts + i])
-                new += zip(cells.flat, values, strict=True)
+                new |= zip(cells.flat, values, strict=True)
                 continue
             self._give(i, trial, x, values)
-        for cell, value in new:
-            self._put(cell, value)
+        self._put_all(new, new.values())
 
     def _give(self, i: int, number: str, x: Array, values: Iterable[str]) -> None:
         """Store single numbers in their place among those of all groups, or trials, of a result."""
-        at = self.add(f"mul i64 {number}, {x.size}")
+        at = self.times(number, x.size)
         for m, (node, value) in enumerate(zip(x.flat, values, strict=True)):
-            self.store(value, f"%o{i}", self.add(f"add i64 {at}, {m}"), node.dtype)
+            self.store(value, self.results[i], self.add(f"add i64 {at}, {m}"), node.dtype)
 
     def _end(self, group: str) -> None:
         """What is carried out of the last trial."""
@@ -580,12 +570,11 @@ class Text(Lines):
             if not self.wanted[i]:
                 continue
             if isinstance(x, Stored):
-                buffer, kind = x.buffer, self.stored_type(x.dtype)
-                at = self.add(f"mul i64 {group}, {buffer.size}")
-                out = self.add(f"getelementptr {kind}, ptr %o{i}, i64 {at}")
-                source = f"%room{buffer.number}"
+                buffer = x.buffer
+                out = self._rows(buffer, self.results[i], group)
+                source = self.rooms[buffer]
                 if buffer in self.doubled:
-                    source = self.add(f"load ptr, ptr %a{buffer.number}")
+                    source = self.add(f"load ptr, ptr {self.turns[buffer][0]}")
                 if buffer in self.passed:
                     last = "%begin" if self.plan.reverse else self.add("sub i64 %end, 1")
                     source = self._given_for(self.passed[buffer], last)
@@ -598,11 +587,8 @@ class Text(Lines):
 
     def _loop(self, loop: Loop) -> None:
         for scan in loop.scans:
-            for i, cells in enumerate(scan.cells):
-                if not scan.unchanged(i):
-                    values = self.values(scan.begin(i).flat)
-                    for cell, value in zip(cells.flat, values, strict=True):
-                        self._put(cell, value)
+            for i, cells in scan.cells.items():
+                self._put_all(cells.flat, self.values(scan.begin(i).flat))
         for segment in loop.segments:
             self._segment(segment, loop.direction)
 
@@ -613,9 +599,7 @@ class Text(Lines):
             return self._samples(of, direction)
         holds = self.values(rarely)
         kind = f"<{self.lanes} x i1>"
-        some = holds[0]
-        for other in holds[1:]:
-            some = self.add(f"or {kind} {some}, {other}")
+        some = reduce(lambda x, y: self.add(f"or {kind} {x}, {y}"), holds)
         name = f"@llvm.vector.reduce.or.v{self.lanes}i1"
         self.declared.add(f"declare i1 {name}({kind})")
         chosen = self.add(f"call i1 {name}({kind} {some})")
@@ -638,7 +622,8 @@ class Text(Lines):
         nodes += [new for _, new in of.cells]
         if not nodes:
             return
-        self.values(_first_known(nodes))
+        before = reached(nodes, lambda x: x.args if x.varies else ())
+        self.values(x for x in before if not x.varies)
         self.inside = {}
         begin, last, d = of.first, of.last, 1
         if direction <= 0:
@@ -650,8 +635,7 @@ class Text(Lines):
             wanted = [*nodes, *(x.ahead for x in handed)]
             early = begun_early(self.plan, stores, wanted, handed, d)
             first = [*((x.cell, x.node) for x in handed), *early]
-            for (cell, _), value in zip(first, self.values((x for _, x in first), k), strict=True):
-                self._put(cell, value)
+            self._put_all((x for x, _ in first), self.values((x for _, x in first), k))
             k, end = self.loop(str(begin), str(last), d)
             self.asking = _asked_for(nodes, d)
             now = {node: self._printed(cell, [], k) for cell, node in first}
@@ -664,11 +648,10 @@ class Text(Lines):
                 if isinstance(node.what, At) and self.taped.get(node.what.buffer) == buffer:
                     continue  # it is there
                 index = self._index(k, 1, offset, buffer.width, m)
-                self.store(self._known(node)[node], self._target(buffer), index, buffer.dtype)
+                self.store(self._known(node)[node], self.written[buffer], index, buffer.dtype)
         for cell, new in (*of.cells, *((x.cell, x.ahead) for x in handed)):
             self._put(cell, self._known(new)[new])
-        for (cell, _), value in zip(early, then, strict=True):
-            self._put(cell, value)
+        self._put_all((x for x, _ in early), then)
         self.lines += end
         self.inside, self.asking = {}, {}
 
@@ -702,21 +685,6 @@ def module(functions: Sequence[Text]) -> str:
     declared = {line for one in functions for line in one.declared}
     attributes = f"attributes #0 = {{ noinline nounwind alignstack={ALIGNED} {WIDTH} }}"
     return "\n".join([*sorted(declared), *(one.function for one in functions), attributes])
-
-
-def _first_known(nodes: Iterable[Node]) -> list[Node]:
-    """The nodes that these are computed from and that do not vary within the loop."""
-    seen, found, todo = set(), [], list(nodes)
-    while todo:
-        node = todo.pop()
-        if node in seen:
-            continue
-        seen.add(node)
-        if node.varies:
-            todo += node.args
-        else:
-            found.append(node)
-    return found
 
 
 def _doubled(plan: Trials) -> list[Buffer]:

@@ -9,6 +9,7 @@ Each thread has room for the memories of one block, which it uses again for the 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property, partial
@@ -20,7 +21,17 @@ import numpy as np
 
 from .code import callable_by_xla, in_vectors, room, target
 from .llvm import OPERANDS, Lines, Text, aligned, module
-from .program import Const, Known, Parts, Step, Value, by_jax, in_order, without_dead_of_loop
+from .program import (
+    Const,
+    Known,
+    Parts,
+    Step,
+    Value,
+    by_jax,
+    in_order,
+    made_from,
+    without_dead_of_loop,
+)
 from .rows import Trials, in_turn
 
 FEW = 64  # real numbers of an operand that are written into the program where they never change
@@ -44,12 +55,9 @@ class Function:
     def __init__(self, before: list[Step], step: Step, varying: set[Value], wanted: Sequence[bool],
                  lanes: int, name: str = "run", *, blocks: bool = False):  # fmt: skip
         self.step, self.lanes = step, lanes
-        first, last = step.params["consts"], step.params["consts"] + step.params["carry"]
         self._varies = [not isinstance(x, Const) and x in varying for x in step.ins]
-        self._alike = [
-            not varies and not (blocks and first <= i < last)
-            for i, varies in enumerate(self._varies)
-        ]
+        whole, carried, rows = step.apart([not x for x in self._varies])
+        self._alike = [*whole, *(x and not blocks for x in carried), *rows]
         self.plan = Trials(step, self._alike, _fixed(before, step), real())
         self.text = Text(self.plan, lanes, wanted, partial(in_vectors, lanes, real().itemsize),
                          name)  # fmt: skip
@@ -88,10 +96,9 @@ class Function:
 
     def like(self, i: int, groups: int, *blocks: int) -> jax.ShapeDtypeStruct:
         """The shape and type of a result of XLA's call, with axes of groups and of blocks."""
-        x, moved = self.step.outs[i], self.plan.moved(i, out=True)
-        return jax.ShapeDtypeStruct(
-            (groups, *blocks, *_moved(x.shape, *moved), self.lanes), x.dtype
-        )
+        x, (at, to) = self.step.outs[i], self.plan.moved(i, out=True)
+        one = jax.eval_shape(partial(_turned, at=at, to=to), jax.ShapeDtypeStruct(x.shape, x.dtype))
+        return jax.ShapeDtypeStruct((groups, *blocks, *one.shape, self.lanes), x.dtype)
 
     def turned_back(self, i: int, array: jax.Array) -> jax.Array:
         """A result of XLA's call with its axes in order."""
@@ -151,7 +158,7 @@ class Whole(Loop):
         results = [of.bytes_of(i) if i in self._found else None for i in range(len(self.step.outs))]
         operands = len(self.step.ins) + len(of.constants)
         return target(callable_by_xla(module([of.text]), operands, results, self.work,
-                                      self.step.params["length"]))  # fmt: skip
+                                      self.step.length))  # fmt: skip
 
     def __call__(self, known: ByValue, groups: int) -> ByValue:
         of = self._function
@@ -190,33 +197,27 @@ class Memories(NamedTuple):
     @classmethod
     def _of(cls, there: int, loop: Step, parts: Parts, rest: list[Step],
             outs: Sequence[Value]) -> Memories | None:  # fmt: skip
-        origin = {x: x for x in loop.outs[loop.params["carry"] :]}
-        shaping: dict[Step, Value] = {}
-        read: dict[Value, set[tuple[int, int]]] = {x: set() for x in origin}
-        elsewhere = set[Value]()
-        end = Step("end", {"consts": len(outs), "carry": 0}, [*outs], [])
-        later = [*parts[there + 1 :], (rest, end)]
-        for number, (before, way) in enumerate(later, there + 1):
-            for step in before:
-                if in_order(step) and step.ins[0] in origin:
-                    shaping[step] = origin[step.outs[0]] = origin[step.ins[0]]
-                else:
-                    elsewhere |= {origin[x] for x in step.ins if x in origin}
-            rows = way.params["consts"] + way.params["carry"]
-            for i, x in enumerate(way.ins):
-                if x in origin and i >= rows and x.shape == origin[x].shape:
-                    read[origin[x]].add((number, i))
-                elif x in origin:
-                    elsewhere.add(origin[x])
-        backs = {number for x, of in read.items() if x not in elsewhere for number, _ in of}
-        for back in sorted(backs):
-            way = parts[back][1]
-            tape = {i: x for x, of in read.items() if x not in elsewhere
-                    and {n for n, _ in of} == {back} for _, i in of}  # fmt: skip
-            same = way.params["length"] == loop.params["length"] and way.params["reverse"]
-            if tape and same:
-                kept = {*tape.values()}
-                return cls(there, back, tape, {s for s, x in shaping.items() if x in kept})
+        later = parts[there + 1 :]
+        steps = [*itertools.chain(*(before for before, _ in later)), *rest]
+        shaping = [step for step in steps if in_order(step)]
+        elsewhere = {*outs, *(x for step in steps if not in_order(step) for x in step.ins)}
+        by_row = set[Value]()
+        for _, way in later:
+            whole, carried, rows = way.apart(way.ins)
+            elsewhere |= {*whole, *carried}
+            by_row |= {*rows}
+        forms: dict[Value, set[Value]] = {}  # of what each trial reads its own row, in any shape
+        for x in loop.results_apart(loop.outs)[1]:
+            same = made_from([x], shaping)
+            if same.isdisjoint(elsewhere) and all(y.shape == x.shape for y in same & by_row):
+                forms[x] = same
+        for back, (_, way) in enumerate(later, there + 1):
+            others = {x for _, other in later if other is not way for x in other.ins}
+            alone = {x: same for x, same in forms.items() if same.isdisjoint(others)}
+            tape = {i: x for x, same in alone.items() for i, y in enumerate(way.ins) if y in same}
+            if tape and way.length == loop.length and way.params["reverse"]:
+                kept = set().union(*(alone[x] for x in tape.values()))
+                return cls(there, back, tape, {step for step in shaping if step.outs[0] in kept})
         return None
 
 
@@ -373,42 +374,36 @@ class _Driver(Lines):
         self._blocks, self._reverse = blocks, reverse
         self.lines = [f"define void @run({OPERANDS}) #0 {{", "entry:"]
 
-    def pointers(self, base: str, count: int) -> list[str]:
-        """The first pointers at a place."""
-        return [self.field(base, 8 * i) for i in range(count)]
-
     def begin(self) -> None:
         """Begin the loop over the blocks."""
         count, each, trials = self._blocks.count, self._blocks.each, self._blocks.trials
-        first = count - 1 if self._reverse else 0
-        self.lines += [
-            "  br label %block", "block:", f"  %b = phi i64 [{first}, %entry], [%next, %block]",
-            f"  %begins = mul i64 %b, {each}", f"  %sum = add i64 %begins, {each}",
-            f"  %more = icmp slt i64 %sum, {trials}",
-            f"  %ends = select i1 %more, i64 %sum, i64 {trials}",
-            f"  %whole = mul i64 %first, {trials}", "  %trial = add i64 %whole, %begins",
-            f"  %isfirst = icmp eq i64 %b, {first}", "  %iszero = icmp eq i64 %b, 0",
-            f"  %blocks = mul i64 %first, {count - 1}", "  %now = add i64 %blocks, %b",
-            "  %before = sub i64 %now, 1",
-        ]  # fmt: skip
+        first, last, step = (count - 1, -1, -1) if self._reverse else (0, count, 1)
+        self._block, self._end = self.loop(str(first), str(last), step)
+        self._begins = self.times(self._block, each)
+        whole = self.add(f"add i64 {self._begins}, {each}")
+        more = self.add(f"icmp slt i64 {whole}, {trials}")
+        self._ends = self.add(f"select i1 {more}, i64 {whole}, i64 {trials}")
+        self._trial = self.times("%first", trials, self._begins)
+        self._is_first = self.add(f"icmp eq i64 {self._block}, {first}")
 
     def carried(self, given: str, out: str, size: int) -> tuple[str, str]:
         """What is carried into a block, and where it is carried to; in the call for a group.
 
         given: before the first block;  out: after all blocks (groups, blocks);  size: bytes
         """
-        before, now = (self.add(f"mul i64 %{x}, {size}") for x in ("before", "now"))
-        before = self.place(out, before)
-        return self.add(f"select i1 %iszero, ptr {given}, ptr {before}"), self.place(out, now)
+        now = self.times("%first", self._blocks.count - 1, self._block)
+        after = self.place(out, self.times(now, size))
+        before = self.place(after, -size)
+        is_zero = self.add(f"icmp eq i64 {self._block}, 0")
+        return self.add(f"select i1 {is_zero}, ptr {given}, ptr {before}"), after
 
     def first(self, given: str, out: str) -> str:
         """What is carried into a block where the same place holds it between all blocks."""
-        return self.add(f"select i1 %isfirst, ptr {given}, ptr {out}")
+        return self.add(f"select i1 {self._is_first}, ptr {given}, ptr {out}")
 
     def rows(self, base: str, offset: int, size: int) -> str:
         """Rows of a block, by the number of the trial among those of all groups."""
-        before = self.add(f"sub i64 {offset}, {self.add(f'mul i64 %trial, {size}')}")
-        return self.place(base, before)
+        return self.place(base, self.times(self._trial, -size, offset))
 
     def call(self, name: str, given: Sequence[str], out: Sequence[str], work: str) -> None:
         for kind, values in (("given", given), ("out", out)):
@@ -416,15 +411,10 @@ class _Driver(Lines):
                 self.do(f"store ptr {x}, ptr {self.place(f'%{name}{kind}', 8 * i)}")
             self.lines.insert(2, f"  %{name}{kind} = alloca ptr, i64 {max(1, len(values))}")
         self.do(f"call void @{name}(i64 %first, i64 %last, ptr %{name}given, "
-                f"ptr %{name}out, ptr {work}, i64 %begins, i64 %ends)")  # fmt: skip
+                f"ptr %{name}out, ptr {work}, i64 {self._begins}, i64 {self._ends})")  # fmt: skip
 
     def ended(self) -> str:
-        last = 0 if self._reverse else self._blocks.count - 1
-        return "\n".join([
-            *self.lines, f"  %next = add i64 %b, {-1 if self._reverse else 1}",
-            f"  %all = icmp eq i64 %b, {last}", "  br i1 %all, label %over, label %block",
-            "over:", "  ret void", "}",
-        ])  # fmt: skip
+        return "\n".join([*self.lines, *self._end, "  ret void", "}"])
 
 
 # The operands
@@ -456,9 +446,3 @@ def size_of(x: Value) -> int:
 
 def _turned(x: jax.Array, at: int, to: int) -> jax.Array:
     return x if at == to else jnp.moveaxis(x, at, to)
-
-
-def _moved(shape: Sequence[int], at: int, to: int) -> tuple[int, ...]:
-    """The shape of an array of which one axis is moved."""
-    rest = [n for i, n in enumerate(shape) if i != at]
-    return (*rest[:to], *shape[at : at + 1], *rest[to:])

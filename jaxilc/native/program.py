@@ -6,11 +6,13 @@ algebra and parts of arrays. `without_dead` drops the steps that nobody reads.
 
 from __future__ import annotations
 
+import itertools
 import math
+import operator
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import compress
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
 import jax
 import jax.core
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 
 Known: TypeAlias = jax.Array | np.ndarray | np.generic
 Parameters: TypeAlias = dict[str, Any]  # of a primitive of JAX; each has a type of its own
+T = TypeVar("T")
 
 CALLS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call"}
 CALLS |= {"remat2", "remat", "checkpoint", "custom_vjp_call_jaxpr", "custom_vmap_call"}
@@ -82,6 +85,33 @@ class Step:
         self.name, self.params, self.ins, self.outs = name, params, ins, outs
         self.primitive = primitive
 
+    @property
+    def body(self) -> Program:
+        """A pass of a loop that was lowered."""
+        found: Program = self.params["body"]
+        return found
+
+    @property
+    def length(self) -> int:
+        """The number of passes of a loop."""
+        return int(self.params["length"])
+
+    def apart(self, of_operands: Sequence[T]) -> tuple[list[T], list[T], list[T]]:
+        """What there is for each operand of a loop: read whole, carried, and read row by row."""
+        first, carry = _counts(self.params)
+        last = first + carry
+        return [*of_operands[:first]], [*of_operands[first:last]], [*of_operands[last:]]
+
+    def results_apart(self, of_results: Sequence[T]) -> tuple[list[T], list[T]]:
+        """What there is for each result of a loop: carried out of it, and written row by row."""
+        _, carry = _counts(self.params)
+        return [*of_results[:carry]], [*of_results[carry:]]
+
+    def on(self, ins: list[Value], outs: list[Value] | None = None, **changed: object) -> Step:
+        """The same step on other operands, with other results or some parameters changed."""
+        outs = self.outs if outs is None else outs
+        return Step(self.name, self.params | changed, ins, outs, self.primitive)
+
     def bound(self, *arrays: Known, **changed: object) -> list[jax.Array]:
         """The results of its primitive by JAX, with some parameters changed."""
         assert self.primitive is not None
@@ -129,6 +159,12 @@ def _value(v: Var | Literal) -> Value:
     return Value(v.aval.shape, v.aval.dtype)
 
 
+def traced(function: Callable[..., object], operands: Sequence[Value]) -> ClosedJaxpr:
+    """The jaxpr of a function of JAX for operands, of which it reads the shapes and types."""
+    like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in operands]
+    return jax.make_jaxpr(function)(*like)
+
+
 class Lowering:
     """What adds the steps of jaxprs to those of a program.
 
@@ -147,8 +183,7 @@ class Lowering:
     def one(self, step: Step) -> Sequence[Value]:
         """What stands for the results of a step, which is added."""
         if step.name == "scan" and self._least is not None:
-            body = lowered(step.params["jaxpr"], math.inf if self._least else 0)
-            step.params = step.params | {"body": body}
+            step = _with_body(step, lowered(step.params["jaxpr"], math.inf if self._least else 0))
         self.steps.append(step)
         return step.outs
 
@@ -189,55 +224,38 @@ class Lowering:
         if name == OBJECT:
             return self.inlined(_expanded(eqn), ins)
         if name == "ruled":
-            like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in ins]
-            return self.inlined(jax.make_jaxpr(params["value"])(like), ins)
+            return self.inlined(traced(lambda *x: params["value"]([*x]), ins), ins)
         if name == "scan" and (params["length"] == 1 or params["length"] < (self._least or 0)):
-            return self._passes(params, ins)
+            return self._passes(Step(name, params, ins, []))
         if self._least is not None:
             if name == "cond":
                 return self._both(params["branches"], ins)
             if (simple := written(name, params, ins)) is not None:
                 return self.inlined(simple, ins)
             if name == "scan":
-                of = {key: params[key] for key in ("length", "reverse", "jaxpr")}
-                params, primitive = of | _counts(params), None
+                params, primitive = _of_scan(params), None
         return self.one(Step(name, params, ins, [*map(_value, eqn.outvars)], primitive))
 
-    def _passes(self, params: Parameters, ins: list[Value]) -> list[Value]:
+    def _passes(self, step: Step) -> list[Value]:
         """The results of a scan whose passes are written one after another."""
-        length, (consts, carry) = params["length"], _counts(params).values()
+        length, back = step.length, step.params["reverse"]
         if length > UNROLLED:
             raise Unknown(f"a loop of {length} passes within another")
-        state, rows = ins[consts : consts + carry], ins[consts + carry :]
+        whole, state, rows = step.apart(step.ins)
         kept: list[list[Value]] = []
-        for i in range(length)[:: -1 if params["reverse"] else 1]:
-            now = [self._row(x, i) for x in rows]
-            found = self.inlined(params["jaxpr"], [*ins[:consts], *state, *now])
-            state = found[:carry]
-            kept.append(found[carry:])
-        kept = kept[::-1] if params["reverse"] else kept
-        stacked = [
-            self._add("concatenate", [self.reshaped(x, (1, *x.shape)) for x in column],
-                      (length, *column[0].shape), dimension=0)
-            for column in zip(*kept, strict=True)
-        ]  # fmt: skip
-        return [*state, *stacked]
+        for i in range(length)[:: -1 if back else 1]:
+            now = [self.of(partial(lax.index_in_dim, index=i, keepdims=False), x) for x in rows]
+            state, found = step.results_apart(
+                self.inlined(step.params["jaxpr"], [*whole, *state, *now])
+            )
+            kept.append(found)
+        kept = kept[::-1] if back else kept
+        columns = zip(*kept, strict=True)
+        return [*state, *(self.of(lambda *x: _stack(*x, axis=0)[0], *of) for of in columns)]
 
-    def _row(self, x: Value, i: int) -> Value:
-        start, limit = (i, *(0 for _ in x.shape[1:])), (i + 1, *x.shape[1:])
-        part = self._add("slice", [x], (1, *x.shape[1:]), start_indices=start, limit_indices=limit,
-                         strides=None)  # fmt: skip
-        return self.reshaped(part, x.shape[1:])
-
-    def reshaped(self, x: Value, shape: Sequence[int]) -> Value:
-        return self._add("reshape", [x], shape, new_sizes=tuple(shape), dimensions=None,
-                         sharding=None)  # fmt: skip
-
-    def _add(self, name: str, ins: list[Value], shape: Sequence[int],
-             dtype: np.dtype | None = None, **params: object) -> Value:  # fmt: skip
-        """The result of a step that is added; its primitive is that of `jax.lax`."""
-        out = Value(shape, ins[0].dtype if dtype is None else dtype)
-        return self.one(Step(name, params, ins, [out], getattr(lax, f"{name}_p")))[0]
+    def of(self, function: Callable[..., jax.Array], *ins: Value) -> Value:
+        """The result of a function of JAX; its steps are added."""
+        return self.inlined(traced(function, ins), ins)[0]
 
     def _both(self, branches: Sequence[ClosedJaxpr], ins: list[Value]) -> list[Value]:
         """The results of a choice, of which all branches are computed, for they have no effects."""
@@ -245,13 +263,7 @@ class Lowering:
         found = [self.inlined(of, operands) for of in branches]
         if isinstance(index, Const):
             return found[int(np.clip(index.array, 0, len(branches) - 1))]
-        outs = found[-1]
-        for i, of in reversed(list(enumerate(found[:-1]))):
-            at = Const(np.asarray(i, index.dtype))
-            here = self._add("le", [index, at], (), np.dtype(bool))
-            outs = [self._add("select_n", [here, x, y], x.shape, x.dtype)
-                    for x, y in zip(outs, of, strict=True)]  # fmt: skip
-        return outs
+        return [self.of(lax.select_n, index, *cases) for cases in zip(*found, strict=True)]
 
 
 def _whole(params: Parameters, dtype: np.dtype) -> bool:
@@ -262,17 +274,28 @@ def _whole(params: Parameters, dtype: np.dtype) -> bool:
 
 def _expanded(eqn: JaxprEqn) -> ClosedJaxpr:
     """The closed jaxpr of a call for which JAX 0.12 has an object, such as a checkpoint."""
-    of = eqn.params["_prim"]
-    like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in map(_value, eqn.invars)]
-    return jax.make_jaxpr(lambda *x: jax.tree.leaves(of.expand(*of.in_tree.unflatten(x))))(*like)
+    of, ins = eqn.params["_prim"], [*map(_value, eqn.invars)]
+    return traced(lambda *x: jax.tree.leaves(of.expand(*of.in_tree.unflatten(x))), ins)
 
 
-def _counts(params: Parameters) -> dict[str, int]:
+def _counts(params: Parameters) -> tuple[int, int]:
     """The numbers of operands that each pass of a scan reads whole, and of those it carries."""
-    if "num_consts" in params:
-        return {"consts": params["num_consts"], "carry": params["num_carry"]}
+    for names in (("consts", "carry"), ("num_consts", "num_carry")):
+        if names[0] in params:
+            return params[names[0]], params[names[1]]
     consts, carry, _ = params["ft_in"].unpack()  # JAX 0.12
-    return {"consts": len(consts), "carry": len(carry)}
+    return len(consts), len(carry)
+
+
+def _of_scan(params: Parameters) -> Parameters:
+    """The parameters of a scan, by names that do not depend on the version of JAX."""
+    kept = {name: params[name] for name in ("length", "reverse", "jaxpr")}
+    return kept | dict(zip(("consts", "carry"), _counts(params), strict=True))
+
+
+def _with_body(step: Step, body: Program) -> Step:
+    """A loop that is lowered to a body."""
+    return Step("scan", _of_scan(step.params) | {"body": body}, step.ins, step.outs)
 
 
 def loops(program: Program) -> Iterator[Step]:
@@ -285,7 +308,7 @@ def _of_trial(closed: ClosedJaxpr) -> Program:
 
     Raises Unknown for a loop of more than UNROLLED passes that would have to be written out.
     """
-    lengths = [of.params["length"] for of in loops(lowered(closed))]
+    lengths = [of.length for of in loops(lowered(closed))]
     if not lengths:
         raise Unknown("there is no loop over samples in a loop over trials")
     shortest = min(n for n in lengths if 2 * n > max(lengths))
@@ -399,8 +422,7 @@ def written(name: str, params: Parameters, operands: Sequence[Value]) -> ClosedJ
             return None
         if not 0 < min(shape) <= max(shape) <= MOST:
             return None
-    like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in operands]
-    return jax.make_jaxpr(lambda *x: WRITTEN[name](*x, **params))(*like)
+    return traced(lambda *x: WRITTEN[name](*x, **params), operands)
 
 
 # Without what nobody reads
@@ -438,19 +460,18 @@ def made_from(values: Iterable[Value], steps: Sequence[Step]) -> set[Value]:
 
 def without_dead_of_loop(step: Step, wanted: Sequence[bool]) -> Step:
     """A loop with only those results, and what they need from pass to pass."""
-    params, wanted = step.params, list(wanted)
-    consts, carry = params["consts"], params["carry"]
     while True:
-        body = without_dead(params["body"], wanted)
-        live = read(body)
-        more = [w or live[consts + i] for i, w in enumerate(wanted[:carry])] + wanted[carry:]
+        body = without_dead(step.body, wanted)
+        consts, carried, rows = step.apart(read(body))
+        more = [*map(operator.or_, wanted, carried), *wanted[len(carried) :]]
         if more == wanted:
             break
         wanted = more
-    stay = [*live[:consts], *wanted[:carry], *live[consts + carry :]]
+    carried = more[: len(carried)]
+    stay = [*consts, *carried, *rows]
     body = Program([*compress(body.ins, stay)], body.steps, body.outs)
-    of = {"body": body, "consts": sum(live[:consts]), "carry": sum(wanted[:carry])}
-    return Step("scan", params | of, [*compress(step.ins, stay)], [*compress(step.outs, wanted)])
+    return step.on([*compress(step.ins, stay)], [*compress(step.outs, wanted)],
+                   body=body, consts=sum(consts), carry=sum(carried))  # fmt: skip
 
 
 # What is computed twice
@@ -509,7 +530,7 @@ class Numbering:
     def _result(self, step: Step, i: int, operands: Sequence[int]) -> int:
         x, params = step.outs[i], step.params
         if "body" in params:
-            found = self.samples(step, params["body"].outs[i])
+            found = self.samples(step, step.body.outs[i])
             return self._number("last", found) if i < params["carry"] else found
         if isinstance(step.primitive, _ForEach) or any(_jaxprs_among(params)):
             return self._number(x)
@@ -518,33 +539,28 @@ class Numbering:
 
     def samples(self, step: Step, x: Value) -> int:
         """The number of what a value in the body of a loop is at all samples."""
-        params, body = step.params, step.params["body"]
-        more = Program(body.ins, body.steps, [*body.outs, x])
-        loop = Step("scan", params | {"body": more}, step.ins, [*step.outs, x])
+        more = Program(step.body.ins, step.body.steps, [*step.body.outs, x])
+        loop = step.on(step.ins, [*step.outs, x], body=more)
         loop = without_dead_of_loop(loop, [False] * len(step.outs) + [True])
-        consts, carry = loop.params["consts"], loop.params["carry"]
         within = self.within(loop, "carried", "sample")
-        within.add(loop.params["body"].steps)
-        *after, found = map(within, loop.params["body"].outs)
+        within.add(loop.body.steps)
+        *after, found = map(within, loop.body.outs)
         if found in within._samples:
             return within._samples[found]
-        begins = map(self, loop.ins[consts : consts + carry])
-        return self._number("samples", params["length"], params["reverse"], *begins, *after, found)
+        begins = map(self, loop.apart(loop.ins)[1])
+        return self._number("samples", loop.length, loop.params["reverse"], *begins, *after, found)
 
     def within(self, loop: Step, carried: str, each: str = "trial") -> Numbering:
         """The numbers of the operands of a pass of a loop.
 
         carried: what a number that is carried is called;  each: what a pass is
         """
-        params, body = loop.params, loop.params["body"]
-        found = Numbering(self._numbers, (each, params["length"]))
-        consts, carry = params["consts"], params["carry"]
-        for i, (x, given) in enumerate(zip(body.ins, loop.ins, strict=True)):
-            if consts <= i < consts + carry:
-                found._of[x] = self._number(carried, i - consts)
-                found._carried.add(found._of[x])
-            else:
-                found._of[x] = self(given) if i < consts else found._of_rows(self(given))
+        found = Numbering(self._numbers, (each, loop.length))
+        whole, own, rows = loop.apart([*zip(loop.body.ins, loop.ins, strict=True)])
+        found._of |= {x: self(given) for x, given in whole}
+        found._of |= {x: self._number(carried, i) for i, (x, _) in enumerate(own)}
+        found._carried = {found._of[x] for x, _ in own}
+        found._of |= {x: found._of_rows(self(given)) for x, given in rows}
         return found
 
 
@@ -563,7 +579,7 @@ def _as_lowered(step: Step) -> Step:
         body = lowered(step.params["jaxpr"])
     except Unknown:
         return step
-    return Step("scan", step.params | _counts(step.params) | {"body": body}, step.ins, step.outs)
+    return _with_body(step, body)
 
 
 def spared(before: list[Step], there: Step, back: Step, tape: Mapping[int, Value]) -> Step:
@@ -579,43 +595,40 @@ def spared(before: list[Step], there: Step, back: Step, tape: Mapping[int, Value
     numbers = Numbering()
     numbers.add(before)
     begun, again = numbers.within(there, "memory"), numbers.within(back, "slope")
-    inside, own = there.params["body"], back.params["body"]
+    inside, own = there.body, back.body
     begun.add(inside.steps)
     for i, x in tape.items():
         again.same(own.ins[i], begun(inside.outs[there.outs.index(x)]))
     again.add(own.steps)
-    first, rows = there.params["consts"], back.params["consts"] + back.params["carry"]
     have = {again(own.ins[i]): own.ins[i] for i in tape}
     begins: dict[Value, tuple[Value, Value]] = {}  # stored of a trial, and after the last one
-    for x, after, last in zip(inside.ins[first:], inside.outs, there.outs, strict=False):
+    for x, after, end in zip(there.apart(inside.ins)[1], inside.outs, there.outs, strict=False):
         stored, number = have.get(begun(x)), begun(after)
         if stored is not None and number not in have and not isinstance(after, Const):
             have[number] = Value(stored.shape, stored.dtype)
-            begins[have[number]] = stored, last
+            begins[have[number]] = stored, end
     known: dict[Value, Value] = {}
     steps: list[Step] = []
     read = {x for step in own.steps for x in step.ins} | {*own.outs}
     for step in own.steps:
         known |= {x: have[again(x)] for x in step.outs if again(x) in have}
         left = [x in read and x not in known for x in step.outs]
-        now = Step(step.name, step.params, [known.get(x, x) for x in step.ins], step.outs,
-                   step.primitive)  # fmt: skip
+        now = step.on([known.get(x, x) for x in step.ins])
         if any(left) and "body" in step.params and not step.params["reverse"]:
-            outs = step.params["body"].outs
-            samples = {x: have[n] for x in outs if (n := again.samples(step, x)) in have}
+            numbers_of = {x: again.samples(step, x) for x in step.body.outs}
+            samples = {x: have[n] for x, n in numbers_of.items() if n in have}
             made, found = _as_rows(now, samples, left) or ([now], [])
             steps += made
             known |= zip(compress(step.outs, left), found, strict=False)
         elif any(left):
             steps.append(now)
-    body = Program([*own.ins[:rows], *begins, *own.ins[rows:]], steps, [])
-    carry = back.params["carry"]
-    stored_of = [x for x, _ in begins.values()]
-    body.outs = [known.get(x, x) for x in (*own.outs[:carry], *stored_of, *own.outs[carry:])]
-    ins = [*back.ins[:rows], *(last for _, last in begins.values()), *back.ins[rows:]]
-    outs = [*back.outs[:carry], *begins, *back.outs[carry:]]
-    params = back.params | {"body": body, "carry": carry + len(begins)}
-    return without_dead_of_loop(Step("scan", params, ins, outs), [x not in begins for x in outs])
+    (whole, carried, rows), (last, each) = back.apart(own.ins), back.results_apart(own.outs)
+    found = [*last, *(x for x, _ in begins.values()), *each]
+    body = Program([*whole, *carried, *begins, *rows], steps, [known.get(x, x) for x in found])
+    (whole, carried, rows), (last, each) = back.apart(back.ins), back.results_apart(back.outs)
+    ins, outs = [*whole, *carried, *(x for _, x in begins.values()), *rows], [*last, *begins, *each]
+    loop = back.on(ins, outs, body=body, carry=len(last) + len(begins))
+    return without_dead_of_loop(loop, [x not in begins for x in outs])
 
 
 def _as_rows(
@@ -627,15 +640,15 @@ def _as_rows(
 
     known: the rows of values of its body
     """
-    params, body = step.params, step.params["body"]
-    consts, carry = params["consts"], params["carry"]
+    body = step.body
     source = {x: (one, i) for one in body.steps for i, x in enumerate(one.outs)}
-    place = {x: i for i, x in enumerate(body.ins)}
 
-    def rows(given: list[jax.Array], of_known: list[jax.Array]) -> list[jax.Array]:
-        found: dict[Value, tuple[Known, bool]] = {
-            x: (array, True) for x, array in zip(known, of_known, strict=True)
-        }  # with whether it is one for each sample
+    def rows(given: Sequence[jax.Array], of_known: Sequence[jax.Array]) -> list[jax.Array]:
+        whole, begun, each = step.apart([*zip(body.ins, given, strict=True)])
+        found: dict[Value, tuple[Known, bool]] = {x: (array, False) for x, array in whole}
+        found |= {x: (array, True) for x, array in (*each, *zip(known, of_known, strict=True))}
+        # with whether it is one for each sample
+        carried = {x: (array, after) for (x, array), after in zip(begun, body.outs, strict=False)}
 
         def row(x: Value) -> tuple[Known, bool]:
             if isinstance(x, Const):
@@ -648,11 +661,9 @@ def _as_rows(
             return found[x]
 
         def computed(x: Value) -> tuple[Known, bool]:
-            if x in place:
-                i = place[x]
-                if not consts <= i < consts + carry:
-                    return given[i], i >= consts
-                return jnp.concatenate([given[i][None], whole(body.outs[i - consts])[:-1]]), True
+            if x in carried:
+                first, after = carried[x]
+                return jnp.concatenate([first[None], of_all(after)[:-1]]), True
             one, i = source[x]
             if one.primitive is None:
                 raise Unknown("a loop within a loop")
@@ -662,23 +673,22 @@ def _as_rows(
                 return one.bound(*arrays)[i], False
             return jax.vmap(one.bound, each)(*arrays)[i], True
 
-        def whole(x: Value) -> jax.Array:
+        def of_all(x: Value) -> jax.Array:
             array, each = row(x)
             array = _as_jax(array)
-            return array if each else jnp.broadcast_to(array, (params["length"], *array.shape))
+            return array if each else jnp.broadcast_to(array, (step.length, *array.shape))
 
         asked: set[Value] = set()
-        return [whole(x)[-1] if i < carry else whole(x)
+        return [of_all(x)[-1] if i < len(begun) else of_all(x)
                 for i, x in enumerate(body.outs) if wanted[i]]  # fmt: skip
 
-    ins = [step.ins, [*known.values()]]
-    like = [[jax.ShapeDtypeStruct(x.shape, x.dtype) for x in some] for some in ins]
+    ins, n = [*step.ins, *known.values()], len(step.ins)
     try:
-        closed = jax.make_jaxpr(rows)(*like)
+        closed = traced(lambda *x: rows(x[:n], x[n:]), ins)
     except (Unknown, RecursionError):  # of a long chain of steps, too
         return None
     lowering = Lowering(0)
-    return lowering.steps, lowering.inlined(closed, [*ins[0], *ins[1]])
+    return lowering.steps, lowering.inlined(closed, ins)
 
 
 # The loops over trials
@@ -699,29 +709,42 @@ def of_trials(
     left: the numbers of such loops that are steps like others
     Raises Unknown where there is no such loop.
     """
-    found: Parts = []
-    before: list[Step] = []
+    found: list[Step] = []
     steps = without_dead(program).steps
     nested = [step for step in steps if step.name == "scan" and _has_loop(step.params["jaxpr"])]
-    kept = [step for number, step in enumerate(nested) if number not in left]
-    for at, step in enumerate(steps):
-        if step not in kept:
-            before.append(step)
-            continue
-        read_later = {x for later in steps[at + 1 :] for x in later.ins} | {*program.outs}
-        whole, shaped = _as_one(step, before) or (step, [])
-        shaped = [one for one in shaped if one.outs[0] in read_later]
-        read_later |= {one.ins[0] for one in shaped}
-        params = whole.params
-        of = {"length": params["length"], "reverse": params["reverse"]}
-        of |= _counts(params) | {"body": _of_trial(params["jaxpr"])}
-        ahead, loop = computed_ahead(Step("scan", of, whole.ins, whole.outs), foreign)
-        before = [*before, *ahead]
-        found.append((before, taking(before, loop)))
-        before = shaped
-    if not found:
+    if all(number in left for number in range(len(nested))):
         raise Unknown("there is no loop over samples in a loop over trials")
-    return read_alone(found, before, program.outs), before
+    kept = [step for number, step in enumerate(nested) if number not in left]
+    for step in steps:
+        if step not in kept:
+            found.append(step)
+            continue
+        shaping, whole, shaped = _as_one(step)
+        ahead, loop = computed_ahead(_with_body(whole, _of_trial(whole.params["jaxpr"])), foreign)
+        found += [*shaping, *ahead]
+        found += [taking(_in_parts(found)[1], loop), *shaped]
+    return read_alone(found, program.outs)
+
+
+def read_alone(steps: list[Step], outs: list[Value]) -> tuple[Parts, list[Step]]:
+    """The same of steps, without what nobody reads.
+
+    outs: the results of the program
+    """
+    return _in_parts(without_dead(Program([], steps, outs)).steps)
+
+
+def _in_parts(steps: Iterable[Step]) -> tuple[Parts, list[Step]]:
+    """The loops over trials among steps, which were lowered, as `of_trials` gives them."""
+    found: Parts = []
+    before: list[Step] = []
+    for step in steps:
+        if "body" in step.params:
+            found.append((before, step))
+            before = []
+        else:
+            before.append(step)
+    return found, before
 
 
 def taking(before: Sequence[Step], loop: Step) -> Step:
@@ -732,12 +755,11 @@ def taking(before: Sequence[Step], loop: Step) -> Step:
 
     before: the steps before it
     """
-    params, body = loop.params, loop.params["body"]
-    count, least = params["consts"], min(of.params["length"] for of in loops(body))
+    body, least = loop.body, min(of.length for of in loops(loop.body))
     number, moved = Numbering(), list[Step]()
     reads: dict[int, tuple[Value, Value]] = {}  # what it reads, with what stands for it within
-    same = {own: reads.setdefault(number(x), (x, own))[1]
-            for x, own in zip(loop.ins[:count], body.ins[:count], strict=True)}  # fmt: skip
+    whole, *others = loop.apart([*zip(loop.ins, body.ins, strict=True)])
+    same = {own: reads.setdefault(number(x), (x, own))[1] for x, own in whole}
 
     def within(x: Value) -> Value:
         """What stands for a value within the loop."""
@@ -752,13 +774,11 @@ def taking(before: Sequence[Step], loop: Step) -> Step:
         if _cheap(step, least):
             outs = [reads.pop(number(x), (x, Value(x.shape, x.dtype)))[1] for x in step.outs]
             ins = [*map(within, step.ins)]
-            moved.insert(0, Step(step.name, step.params, ins, outs, step.primitive))
-    rest = [Step(x.name, x.params, [same.get(y, y) for y in x.ins], x.outs, x.primitive)
-            for x in body.steps]  # fmt: skip
-    known = [own for _, own in reads.values()]
-    of = Program([*known, *body.ins[count:]], [*moved, *rest], [same.get(x, x) for x in body.outs])
-    ins = [*(x for x, _ in reads.values()), *loop.ins[count:]]
-    return Step("scan", params | {"body": of, "consts": len(known)}, ins, loop.outs)
+            moved.insert(0, step.on(ins, outs))
+    rest = [x.on([same.get(y, y) for y in x.ins]) for x in body.steps]
+    pairs = [*reads.values(), *itertools.chain(*others)]
+    of = Program([own for _, own in pairs], [*moved, *rest], [same.get(x, x) for x in body.outs])
+    return loop.on([x for x, _ in pairs], body=of, consts=len(reads))
 
 
 def _cheap(step: Step, least: int) -> bool:
@@ -767,13 +787,13 @@ def _cheap(step: Step, least: int) -> bool:
     The step makes rows, from rows whose samples it leaves in order and from few numbers.
     least: the samples of the shortest loop over samples
     """
-    params, steps = step.params, [step]
+    steps = [step]
     if step.name == "reshape":  # of which samples may become channels
         return False
     if step.name == "scan":
-        if "body" not in params or params["carry"] or params["length"] < least:
+        if "body" not in step.params or step.params["carry"] or step.length < least:
             return False
-        steps = params["body"].steps
+        steps = step.body.steps
     if any(one.name not in CHEAP or {*(one.params.get("strides") or ())} - {1} for one in steps):
         return False
     types = {"bool", "int32", "int64", "uint32", jnp.result_type(float).name}
@@ -787,20 +807,6 @@ def _cheap(step: Step, least: int) -> bool:
     return all(axes(x) == 1 for x in step.outs) and all(
         axes(x) == 1 or math.prod(x.shape) <= MOST for x in step.ins
     )
-
-
-def read_alone(parts: Parts, rest: list[Step], outs: Sequence[Value]) -> Parts:
-    """The loops over trials, with the steps before each, with the results alone that are read.
-
-    rest: the steps after the last one;  outs: the results of the program
-    """
-    read_later, found = {*outs, *(x for step in rest for x in step.ins)}, []
-    for steps, loop in reversed(parts):
-        loop = without_dead_of_loop(loop, [x in read_later for x in loop.outs])
-        steps = without_dead(Program([], steps, [*read_later, *loop.ins])).steps
-        read_later |= {x for step in (*steps, loop) for x in step.ins}
-        found.append((steps, loop))
-    return found[::-1]
 
 
 def in_order(step: Step) -> bool:
@@ -832,46 +838,35 @@ def _jaxprs_among(params: Parameters) -> Iterator[Jaxpr | ClosedJaxpr]:
                 yield one
 
 
-def _as_one(step: Step, before: list[Step]) -> tuple[Step, list[Step]] | None:
-    """A loop over blocks as one over all trials, and the steps that shape its results.
+def _as_one(step: Step) -> tuple[list[Step], Step, list[Step]]:
+    """A loop over blocks as one over all trials, with what shapes its operands and its results.
 
-    None for a loop that does more than to run an inner one. The steps that shape its operands are
-    added before it.
+    A loop that does more than to run an inner one stays.
     """
     body = without_dead(flat(step.params["jaxpr"]))
-    consts, carry = _counts(step.params).values()
-    if len(body.steps) != 1 or body.steps[0].name != "scan" or step.params["reverse"]:
-        return None
-    inner = body.steps[0]
-    within, of_inner = _counts(inner.params).values()
-    if of_inner != carry or inner.params["reverse"]:
-        return None
-    if body.outs != inner.outs or not _has_loop(inner.params["jaxpr"]):
-        return None
-    place = {x: i for i, x in enumerate(body.ins)}
-    source = [x if isinstance(x, Const) else place[x] for x in inner.ins]
-    rows = [i for i in source[within + carry :] if not isinstance(i, Const)]
-    if source[within : within + carry] != list(range(consts, consts + carry)):
-        return None
-    if len(rows) < len(source) - within - carry or any(i < consts + carry for i in rows):
-        return None
-    if any(not isinstance(i, Const) and i >= consts for i in source[:within]):
-        return None
-    trials = step.params["length"] * inner.params["length"]
-    ins = [i if isinstance(i, Const) else step.ins[i] for i in source[: within + carry]]
-    shaping = Lowering(None)
-    for i in rows:
-        x = step.ins[i]
-        ins.append(shaping.reshaped(x, (trials, *x.shape[2:])))
-    before += shaping.steps
-    shaped: list[Step] = []
-    outs = list(step.outs[:carry])
-    for x in step.outs[carry:]:
-        whole = Value((trials, *x.shape[2:]), x.dtype)
-        params = {"new_sizes": x.shape, "dimensions": None, "sharding": None}
-        shaped.append(Step("reshape", params, [whole], [x], lax.reshape_p))
-        outs.append(whole)
-    return Step("scan", inner.params | {"length": trials}, ins, outs), shaped
+    inner = body.steps[0] if len(body.steps) == 1 else None
+    if inner is None or inner.name != "scan" or not _has_loop(inner.params["jaxpr"]):
+        return [], step, []
+    whole, carried, rows = step.apart(body.ins)
+    read, begun, by_trial = inner.apart(inner.ins)
+    known = all(isinstance(x, Const) or x in whole for x in read) and {*by_trial} <= {*rows}
+    back = step.params["reverse"] or inner.params["reverse"]
+    if back or not known or begun != carried or body.outs != inner.outs:
+        return [], step, []
+    trials, source = step.length * inner.length, dict(zip(body.ins, step.ins, strict=True))
+    last, blocks = step.results_apart(step.outs)
+    given = [source[x] for x in by_trial]
+    rows, found = ([Value((trials, *x.shape[2:]), x.dtype) for x in some]
+                   for some in (given, blocks))  # fmt: skip
+    ins = [*(source.get(x, x) for x in (*read, *begun)), *rows]
+    loop = Step("scan", inner.params | {"length": trials}, ins, [*last, *found])
+    return [*map(_reshaped, given, rows)], loop, [*map(_reshaped, found, blocks)]
+
+
+def _reshaped(x: Value, out: Value) -> Step:
+    """The step that gives an array another shape."""
+    params = {"new_sizes": out.shape, "dimensions": None, "sharding": None}
+    return Step("reshape", params, [x], [out], lax.reshape_p)
 
 
 # What JAX computes ahead
@@ -909,25 +904,22 @@ def computed_ahead(step: Step, foreign: Callable[[Step], bool]) -> tuple[list[St
 
     foreign: whether JAX must compute a step
     """
-    params, body = step.params, step.params["body"]
-    consts, carry = params["consts"], params["carry"]
-    ins, inner = [*step.ins], [*body.ins]
-    learned = made_from(inner[consts : consts + carry], body.steps)
-    varying = made_from(inner[consts + carry :], body.steps)
+    body = step.body
+    whole, carried, rows = step.apart([*zip(body.ins, step.ins, strict=True)])
+    learned = made_from((own for own, _ in carried), body.steps)
+    varying = made_from((own for own, _ in rows), body.steps)
     source = {x: one for one in body.steps for x in one.outs}
-    moved: set[Step] = set()
+    free: dict[Step, None] = {}  # what no trial can change
     for one in body.steps:
-        chain, todo = {one}, [one] if foreign(one) else []
-        while todo:
-            needed = {source[x] for x in todo.pop().ins if x in source} - chain
-            chain |= needed
-            todo += needed
-        if foreign(one) and all(of.primitive and learned.isdisjoint(of.outs) for of in chain):
-            moved |= chain
+        known = all(source[x] in free for x in one.ins if x in source)
+        if known and one.primitive and learned.isdisjoint(one.outs):
+            free[one] = None
+    drawn = [x for one in free if foreign(one) for x in one.outs]
+    moved = without_dead(Program([], [*free], drawn)).steps
     before: list[Step] = []
-    outer = dict(zip(inner, ins, strict=True))
-    for by_trial in (False, True):
-        steps = [x for x in body.steps if x in moved and varying.isdisjoint(x.outs) != by_trial]
+    outer = dict(zip(body.ins, step.ins, strict=True))
+    for by_trial, of in ((False, whole), (True, rows)):
+        steps = [x for x in moved if varying.isdisjoint(x.outs) != by_trial]
         needed = {x for one in body.steps if one not in steps for x in one.ins} | {*body.outs}
         outs = [x for one in steps for x in one.outs if x in needed]
         if not outs:
@@ -935,16 +927,16 @@ def computed_ahead(step: Step, foreign: Callable[[Step], bool]) -> tuple[list[St
         made = {x for one in steps for x in one.outs}
         given = {x: 0 for one in steps for x in one.ins if x in outer and x not in made}
         fixed = [x for x in given if x not in varying]
-        rows = [x for x in given if x in varying]
-        new = [Value((params["length"], *x.shape) if by_trial else x.shape, x.dtype) for x in outs]
-        before.append(Step("ahead", {}, [outer[x] for x in (*fixed, *rows)], new,
-                           _ForEach(steps, fixed, rows, outs)))  # fmt: skip
+        each = [x for x in given if x in varying]
+        new = [Value((step.length, *x.shape) if by_trial else x.shape, x.dtype) for x in outs]
+        before.append(Step("ahead", {}, [outer[x] for x in (*fixed, *each)], new,
+                           _ForEach(steps, fixed, each, outs)))  # fmt: skip
         outer |= zip(outs, new, strict=True)
-        at = len(inner) if by_trial else consts
-        ins[at:at], inner[at:at] = new, outs
-        consts += 0 if by_trial else len(outs)
-    rest = Program(inner, [x for x in body.steps if x not in moved], body.outs)
-    return before, Step("scan", params | {"body": rest, "consts": consts}, ins, step.outs)
+        of += zip(outs, new, strict=True)
+    pairs = [*whole, *carried, *rows]
+    rest = [x for x in body.steps if x not in moved]
+    body = Program([own for own, _ in pairs], rest, body.outs)
+    return before, step.on([x for _, x in pairs], body=body, consts=len(whole))
 
 
 # By JAX

@@ -173,38 +173,31 @@ class Scan:
 
     loop: the number of the loop that it belongs to
     offset: the sample of it that is computed at sample k of the loop is k + offset
-    operands: what it reads: small arrays, and rows
-    cells: arrays of the nodes that are carried from sample to sample; without elements where no
-        sample changes them
+    consts: what it reads whole at each sample: small arrays, and tables
+    begun: what it carries into its first sample
+    rows: what it reads row by row
+    cells: by their number among the carried, arrays of nodes that samples change
     """
 
     def __init__(self, step: Step, operands: list[Item], loop: int):
-        self.body: Program = step.params["body"]
-        self.length = step.params["length"]
-        self.consts, self.carry = step.params["consts"], step.params["carry"]
-        self.operands, self.loop, self.offset = operands, loop, 0
-        self.cells: list[Array] = []
+        self.body, self.length, self.loop, self.offset = step.body, step.length, loop, 0
+        self.consts, self.begun, rows = step.apart(operands)
+        self.rows = [*map(rows_of, rows)]
+        self.cells: dict[int, Array] = {}
         self.results: list[Result] = []
-
-    @property
-    def rows(self) -> list[Row]:
-        return [*map(rows_of, self.operands[self.consts + self.carry :])]
 
     def carried(self, row: Result) -> int | None:
         """Which of the carried numbers a result is, too; None if it is none of them."""
         outs = self.body.outs
-        same = (
-            i for i in range(self.carry) if outs[i] is outs[row.number] and not self.unchanged(i)
-        )
-        return next(same, None)
+        return next((i for i in self.cells if outs[i] is outs[row.number]), None)
 
     def begin(self, i: int) -> Array:
         """What it carries into its first sample."""
-        return small(self.operands[self.consts + i])
+        return small(self.begun[i])
 
     def unchanged(self, i: int) -> bool:
         """Whether each sample carries on what it was given."""
-        return self.body.outs[i] is self.body.ins[self.consts + i]
+        return self.body.outs[i] is self.body.ins[len(self.consts) + i]
 
 
 class Sink:
@@ -267,11 +260,10 @@ class Trials:
     def __init__(self, step: Step, alike: Sequence[bool], fixed: Sequence[np.ndarray | None],
                  real: np.dtype):  # fmt: skip
         self.n, self.alike = Numbers(real), alike
-        self.body: Program = step.params["body"]
-        self.fixed = fixed
-        self.trials, self.reverse = step.params["length"], step.params["reverse"]
+        self.body, self.fixed = step.body, fixed
+        self.trials, self.reverse = step.length, step.params["reverse"]
         self.consts, self.carry = step.params["consts"], step.params["carry"]
-        lengths = [of.params["length"] for of in loops(self.body)]
+        lengths = [of.length for of in loops(self.body)]
         if not lengths:
             raise Unknown("there is no loop over samples whose results are read")
         self.shortest = -(-3 * min(lengths) // 4)
@@ -482,13 +474,13 @@ class Trials:
 
     def _scan(self, step: Step, operands: list[Item], *, either: bool = False) -> None:
         """Add a scan to the first loop that can hold it; `either` if it may run backward, too."""
-        consts, carry = step.params["consts"], step.params["carry"]
-        for i, x in enumerate(operands[: consts + carry]):
-            if isinstance(x, Row):
-                if i >= consts:
-                    raise Unknown("rows that are carried from sample to sample")
-                stored = isinstance(x, Stored) and x.axis == 0
-                operands[i] = x if stored else self.table_of(x)
+        whole, begun, rows = step.apart(operands)
+        if any(isinstance(x, Row) for x in begun):
+            raise Unknown("rows that are carried from sample to sample")
+        for i, x in enumerate(whole):
+            if isinstance(x, Row) and not (isinstance(x, Stored) and x.axis == 0):
+                whole[i] = self.table_of(x)
+        operands = [*whole, *begun, *rows]
         number = max([0, *map(loop_of, operands)])
         if not either:
             direction = -1 if step.params["reverse"] else 1
@@ -497,12 +489,16 @@ class Trials:
             self.loop(number).direction = direction
         scan = Scan(step, operands, number)
         self.loop(number).scans.append(scan)
-        for i, out in enumerate(step.outs[:carry]):
-            shape = (0,) if scan.unchanged(i) else out.shape
-            scan.cells.append(self.new_cells(shape, out.dtype, loop=number + 1))
-            self._known[out] = scan.begin(i) if scan.unchanged(i) else scan.cells[-1]
-        for i, out in enumerate(step.outs[carry:]):
-            scan.results.append(Result(out.shape, out.dtype, scan, carry + i))
+        last, each = step.results_apart(step.outs)
+        for i, out in enumerate(last):
+            if scan.unchanged(i):
+                self._known[out] = scan.begin(i)
+            else:
+                self._known[out] = scan.cells[i] = self.new_cells(
+                    out.shape, out.dtype, loop=number + 1
+                )
+        for i, out in enumerate(each, len(last)):
+            scan.results.append(Result(out.shape, out.dtype, scan, i))
             self._known[out] = scan.results[-1]
 
     def table(self, operands: Sequence[Array]) -> Item:
@@ -655,13 +651,6 @@ def _moves(of: Trials, step: Step, operands: list[Item]) -> Item:
     if found is None:
         raise Unknown(f"{step.name} of samples that are found while it runs")
     return found
-
-
-def _slice(of: Trials, step: Step, operands: list[Item]) -> Item:
-    row, strides = rows_of(operands[0]), step.params["strides"]
-    if strides and strides[row.axis] != 1:
-        raise Unknown("slice of every other sample")
-    return _moves(of, step, operands)
 
 
 def _scatter(of: Trials, step: Step, operands: list[Item]) -> Item | None:
@@ -841,7 +830,6 @@ def _convolved(of: Trials, step: Step, operands: list[Item]) -> Item | None:
 MADE = ("concatenate", "pad", "broadcast_in_dim")  # of which small arrays make rows, too
 HANDLED: dict[str, Callable[[Trials, Step, list[Item]], Item | None]] = {
     **dict.fromkeys((*MOVES, "dynamic_slice", "dynamic_update_slice"), _moves),
-    "slice": _slice,
     **dict.fromkeys(("scatter", "scatter-add"), _scatter),
     "gather": _gather_rows,
     "argmax": _place_of_best,
@@ -869,11 +857,8 @@ class _Build:
     def run(self) -> None:
         d, loop = self.direction, self.loop
         for item in loop.items:
-            behind = 0
-            for row in item.rows:
-                for scan, c in self._reach(row).items():
-                    behind = min(behind, d * scan.offset - c)
-            item.offset = d * behind
+            read = (x for row in item.rows for x in self._reach(row).items())
+            item.offset = d * min([0, *(d * scan.offset - c for scan, c in read)])
         cuts: set[int] = set()
         for item in loop.items:
             cuts |= {-item.offset, item.length - item.offset}
@@ -912,12 +897,7 @@ class _Build:
         if row not in self.reached:
             found: dict[Scan, int] = {}
             for inner, _, by in _inner(row):
-                if isinstance(inner, Result):
-                    here = inner.scan.loop == self.number
-                    pairs: Iterable[tuple[Scan, int]] = [(inner.scan, 0)] if here else []
-                else:
-                    pairs = self._reach(inner).items()
-                for scan, c in pairs:
+                for scan, c in self._reach(inner).items():
                     ahead = c + self.direction * by
                     found[scan] = max(found.get(scan, ahead), ahead)
             if isinstance(row, Result) and row.scan.loop == self.number:
@@ -946,9 +926,8 @@ class _Build:
         for scan in self.loop.scans:
             if at.active(scan):
                 outs = at.run(scan)
-                for i, (old, new) in enumerate(zip(scan.cells, outs, strict=False)):
-                    if not scan.unchanged(i):
-                        cells += zip(old.flat, new.flat, strict=True)
+                for i, old in scan.cells.items():
+                    cells += zip(old.flat, outs[i].flat, strict=True)
         for sink in self.loop.sinks:
             if at.active(sink):
                 stores.append((sink.buffer, sink.offset, at.row(sink.rows[0], 1, sink.offset)))
@@ -990,13 +969,10 @@ class _Rows:
         if isinstance(row, Taken):
             return self.row(row.row, sign * row.sign, c * row.sign + row.first)
         if isinstance(row, Joined):
-            lowest = min(sign * self.first + c, sign * (self.last - 1) + c)
-            highest = max(sign * self.first + c, sign * (self.last - 1) + c)
-            first, length, part = next(
-                p for p in row.parts if p.first <= lowest < p.first + p.length
-            )
-            assert highest < first + length
-            return self.row(part, sign, c - first)
+            ends = sign * self.first + c, sign * (self.last - 1) + c  # which one part holds
+            part = next(x for x in row.parts if x.first <= min(ends) < x.first + x.length)
+            assert max(ends) < part.first + part.length
+            return self.row(part.rows, sign, c - part.first)
         if isinstance(row, Computed):
             return row.function(*(self.row(x, sign, c) if isinstance(x, Row) else x
                                   for x in row.operands))  # fmt: skip
@@ -1080,16 +1056,13 @@ class _At(_Rows):
         if scan in self.done:
             return self.done[scan]
         body = scan.body
-        known: dict[Value, Item] = {}
-        for i, (x, operand) in enumerate(zip(body.ins, scan.operands, strict=True)):
-            if i < scan.consts:
-                known[x] = operand
-            elif i < scan.consts + scan.carry:
-                number = i - scan.consts
-                known[x] = (scan.begin(number) if scan.unchanged(number)
-                            else _inside_loop(self.n, scan.cells[number]))  # fmt: skip
-            else:
-                known[x] = self.row(rows_of(operand), 1, scan.offset).reshape(x.shape)
+        given = [
+            *scan.consts,
+            *(_inside_loop(self.n, scan.cells[i]) if i in scan.cells else x
+              for i, x in enumerate(scan.begun)),
+            *(self.row(x, 1, scan.offset).reshape(x.shape[1:]) for x in scan.rows),
+        ]  # fmt: skip
+        known: dict[Value, Item] = dict(zip(body.ins, given, strict=True))
 
         def value(x: Value) -> Item:
             return self.n.array(np.asarray(x.array)) if isinstance(x, Const) else known[x]
@@ -1165,22 +1138,11 @@ def handed_on(of: Trials, segment: Segment, wanted: Sequence[Node], d: int) -> l
             args = [x for x in map(moved.get, node.args) if x is not None]
             whole = len(args) == len(node.args) > 0
             moved[node] = n.known(node, args, node.what) if whole else None
-    found: dict[Node, Handed] = {}
-    todo, seen = list(wanted), set[Node]()
-    while todo:
-        node = todo.pop()
-        if node in seen:
-            continue
-        seen.add(node)
-        ahead = moved[node]
-        again = not node.args or (node.name == "mul" and node.dtype.kind == "f")
-        if node.varies and not again and ahead is not None and ahead in moved:
-            cell = of.new_cells((1,), node.dtype, loop=0).item()
-            found[node] = Handed(cell, node, ahead)
-            todo.append(ahead)
-        else:
-            todo += node.args
-    return [*found.values()]
+    handed = {x: y for x, y in moved.items() if y is not None and y in moved
+              and x.varies and x.args and not is_product(x)}  # fmt: skip
+    found = reached(wanted, lambda x: [handed[x]] if x in handed else x.args)
+    return [Handed(of.new_cells((1,), x.dtype, loop=0).item(), x, handed[x])
+            for x in found if x in handed]  # fmt: skip
 
 
 def begun_early(of: Trials, stores: Sequence[tuple[Buffer, int, Array]], wanted: Sequence[Node],
@@ -1210,28 +1172,21 @@ def begun_early(of: Trials, stores: Sequence[tuple[Buffer, int, Array]], wanted:
         waits = x.varies and x not in ahead and len(x.args) > 0
         time[x] = max(time[y] for y in x.args) + TAKES.get(x.name, USUALLY) if waits else 0
     last = EARLY * max(time.values(), default=0)
-    found = dict[Node, None]()
-    todo, seen = list(wanted), set[Node]()
-    while todo:
-        x = todo.pop()
-        product = x.name == "mul" and x.dtype.kind == "f"  # which a sum is rounded with
-        if x in ahead or x in seen:
-            continue
-        seen.add(x)
-        if free[x] and 2 * USUALLY <= time[x] <= last and not product:
-            found[x] = None
-        else:
-            todo += x.args
-    if TAKES.keys().isdisjoint(x.name for x in in_turn(found)):
+
+    def is_early(x: Node) -> bool:
+        alone = x not in ahead and not is_product(x)  # which a sum is rounded with
+        return alone and free[x] and 2 * USUALLY <= time[x] <= last
+
+    found = reached(wanted, lambda x: () if x in ahead or is_early(x) else x.args)
+    early = dict.fromkeys(filter(is_early, found))
+    if TAKES.keys().isdisjoint(x.name for x in reached(early)):
         return []
-    todo = [*found]
-    while todo:
-        needed = [y for x in in_turn(todo, ahead.__contains__) for y in x.args if y in ahead]
-        todo = [x for y in needed if (x := ahead[y]) not in found and x not in ahead]
-        found |= dict.fromkeys(todo)
-    if len(found) > MOST_EARLY:
+    for x in reached(early, lambda x: () if x in ahead else [ahead.get(y, y) for y in x.args]):
+        handed_to = [] if x in ahead else [ahead[y] for y in x.args if y in ahead]
+        early |= dict.fromkeys(y for y in handed_to if y not in ahead)
+    if len(early) > MOST_EARLY:
         return []
-    return [(of.new_cells((1,), x.dtype, loop=0).item(), x) for x in found]
+    return [(of.new_cells((1,), x.dtype, loop=0).item(), x) for x in early]
 
 
 def without_choices(of: Trials, segment: Segment) -> tuple[list[Node], Segment]:
@@ -1294,6 +1249,28 @@ def _rewritten(of: Trials, segment: Segment,
         results=[(result, offset, putting(x)) for result, offset, x in segment.results],
         cells=[(cell, new[x]) for cell, x in segment.cells],
     )
+
+
+def is_product(node: Node) -> bool:
+    """Whether it is a product of real numbers, which is rounded with a sum that reads it."""
+    return node.name == "mul" and node.dtype.kind == "f"
+
+
+def reached(
+    nodes: Iterable[Node], onward: Callable[[Node], Iterable[Node]] = lambda node: node.args
+) -> list[Node]:
+    """Nodes and all that are reached from them.
+
+    onward: those that are reached from one; without it, what it is computed from
+    """
+    found: dict[Node, None] = {}
+    todo = [*nodes]
+    while todo:
+        node = todo.pop()
+        if node not in found:
+            found[node] = None
+            todo += onward(node)
+    return [*found]
 
 
 def in_turn(

@@ -31,7 +31,6 @@ from .operations import foreign
 from .program import (
     Const,
     Known,
-    Parts,
     Program,
     Step,
     Unknown,
@@ -122,8 +121,9 @@ class Compiled(Generic[Common, One, Found]):
             before = [x for steps, _ in self._parts[: of.back + 1] for x in steps]
             own, back = self._parts[of.back]
             self._parts[of.back] = own, spared(before, self._parts[of.there][1], back, of.tape)
-            self._parts = read_alone(self._parts, self._after, program.outs)
-        awaited = _awaited(self._parts)
+            every = [*itertools.chain(*([*x, loop] for x, loop in self._parts)), *self._after]
+            self._parts, self._after = read_alone(every, program.outs)
+        shaping = [x for before, _ in self._parts for x in before if in_order(x)]
         self._read = self._by_stretch()
         self._varying = {*program.ins[self._shared :]}
         self._loops: list[Loop] = []
@@ -135,7 +135,8 @@ class Compiled(Generic[Common, One, Found]):
             try:
                 self._loops.append(Whole(steps, step, self._varying, read, self.lanes))
             except Unknown:
-                if number == len(self._parts) - 1 or not awaited.isdisjoint(step.outs):
+                later = {x for _, loop in self._parts[number + 1 :] for x in loop.ins}
+                if not later or not made_from(step.outs, shaping).isdisjoint(later):
                     raise
                 numbers = (n for n in itertools.count() if n not in left)
                 left.append(next(itertools.islice(numbers, number, None)))
@@ -159,7 +160,7 @@ class Compiled(Generic[Common, One, Found]):
         if of is None:
             return ""
         (_, there), (_, back) = self._parts[of.there], self._parts[of.back]
-        trials, tape = there.params["length"], {*of.tape.values()}
+        trials, tape = there.length, {*of.tape.values()}
         stored, fits = shown(sum(map(size_of, tape))), self._room_for(self._held) is None
         if count == 1 or (count is None and fits and not self._waits(of)):
             return f"a gradient stores the memories of all {trials} trials, {stored} a machine"
@@ -182,11 +183,13 @@ class Compiled(Generic[Common, One, Found]):
         """Whether a way back waits for the RAM, which it would not in blocks that a cache holds."""
         there, step, cache = self._loops[of.there], self._parts[of.there][1], cache_bytes()
         assert isinstance(there, Whole)
-        stored, trials = sum(map(size_of, {*of.tape.values()})), step.params["length"]
-        rows = step.params["consts"] + step.params["carry"]
-        read = sum(size_of(x) for x in {*step.ins[rows:]}.intersection(there.each))  # once more
+        if cache is None:
+            return False
+        stored, trials = sum(map(size_of, {*of.tape.values()})), step.length
+        rows = {*step.apart(step.ins)[2]}
+        read = sum(size_of(x) for x in rows.intersection(there.each))  # once more
         numbers = (stored - read) / trials / real().itemsize
-        large = cache is not None and self.lanes * stored > 2 * cache
+        large = self.lanes * stored > 2 * cache
         block = self.lanes * stored * Blocks.of(trials).each / trials
         few = FEW_OPERATIONS * self.lanes * real().itemsize / max(WIDEST.values()) * numbers
         return large and 2 * block <= cache and there.operations <= few
@@ -453,21 +456,8 @@ def differs(found: Found, wanted: Found) -> str | None:
 # --------------------------------------------------------------------------------------------------
 
 
-def _awaited(parts: Parts) -> set[Value]:
-    """The results of loops that a later one reads as they are, or in another shape."""
-    origin: dict[Value, Value] = {}
-    found: set[Value] = set()
-    for before, loop in parts:
-        for step in before:
-            if in_order(step) and step.ins[0] in origin:
-                origin[step.outs[0]] = origin[step.ins[0]]
-        found |= {origin[x] for x in loop.ins if x in origin}
-        origin |= {x: x for x in loop.outs}
-    return found
-
-
 def _learns(step: Step) -> bool:
     """Whether a loop over samples depends on the trials before, or on the number of the trial."""
-    body = step.params["body"]
-    moving = made_from(body.ins[step.params["consts"] :], body.steps)
-    return any(not moving.isdisjoint(of.ins) for of in loops(body))
+    _, carried, rows = step.apart(step.body.ins)
+    moving = made_from([*carried, *rows], step.body.steps)
+    return any(not moving.isdisjoint(of.ins) for of in loops(step.body))
