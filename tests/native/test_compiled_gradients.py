@@ -291,6 +291,23 @@ def test_a_loop_leaves_what_it_cannot_take_itself_to_the_steps_before_it(shape, 
     assert differs(Compiled(last, common, 1.0, lanes=2)(common, gains), wanted) is None
 
 
+@pytest.mark.parametrize("some", [slice(None, None, 2), slice(1, None, 3), slice(2, -1, 4)])
+def test_samples_in_even_steps_are_taken_there_and_back(some):
+    """A slice of them was refused."""
+
+    def last(common, gain):
+        def trial(u, _):
+            y = lax.scan(lambda x, now: (0.9 * x + now, x), 0.0, u)[1]
+            return u + gain * jnp.mean((common - y)[some]), None
+
+        return jnp.sum(lax.scan(trial, jnp.zeros(14), jnp.arange(4))[0] ** 2)
+
+    both = jax.value_and_grad(last, argnums=1)
+    common, gains = np.random.default_rng(6).normal(size=14), np.array([0.03, 0.08, -0.05])
+    wanted = jax.vmap(both, (None, 0))(common, gains)
+    assert differs(Compiled(both, common, 1.0, lanes=2)(common, gains), wanted) is None
+
+
 @pytest.mark.parametrize(
     "used",
     [lambda p, x, r: x / (p + 3.0), lambda p, x, r: x * (p + 1.0) + r,
