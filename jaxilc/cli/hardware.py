@@ -782,9 +782,9 @@ def _turn(
     place = None
     if prediction is not None and turn.record.weight is None:
         step = next_step(now.journal.live())
-        if turn.expected is None:  # which is what the campaign itself expects, with its sign
-            turn.findings.extend(now.of_other_sign(turn.record, opened.subject.machine))
         place = _place(prediction, step, turn.metrics, turn.expected)
+        if turn.expected is None and place is not None and place.level == "clear":
+            turn.findings.extend(now.of_other_sign(turn.record, opened.subject.machine))
         turn = turn._replace(predicted=prediction.at(step))
     predicted, finding = against_prediction(now, turn, prediction, place)
     turn.findings.extend(finding)

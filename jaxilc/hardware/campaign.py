@@ -229,8 +229,8 @@ class Campaign:
         """
         memory = self.memory_of(self.journal.live()[-1])
         nominal = np.asarray(_output(machine, self.scheme, self.task, memory, jax.random.key(0)))
-        accept, unit = self.rules.accept, self.task.unit
-        return checks.of_other_sign(np.asarray(record.y), nominal, accept, unit)
+        accept = self.rules.accept
+        return checks.of_other_sign(record.y, nominal, self.task.reference, accept, self.task.unit)
 
     def schedules(self, trial: int | None = None) -> dict[str, np.ndarray]:
         """The schedules to play after a trial, None for the last one; see `playback.schedules`."""

@@ -418,6 +418,7 @@ STILL = 0.02  # share of the range of the last trial below which a channel count
 DEAD = 1e-3  # share of the range of the reference, where no trial before has moved
 TRAVEL = 0.25  # share of that range over which a channel that stands still ought to have moved
 NEARER = 0.5  # share of the error to its own reference that an output has to another's
+MOVES = 0.1  # of the reference, up to which the sign of a motion is not judged
 FASTER = 5.0  # times the fastest step of reference and last trial that no motion exceeds
 ROUGH = 20.0  # times the median step: in the first trial, a step below it may be noise
 MISPLAYED = 0.1  # share of the input's rms by which the recorded input may differ
@@ -541,16 +542,20 @@ def exchanged(y, r, accept: tuple[str, ...]) -> list[Finding]:
     return [_refused("frozen", f"{said}; suspected is the order of the columns", accept)]
 
 
-def of_other_sign(y, expected, accept: tuple[str, ...], unit: str) -> list[Finding]:
+def of_other_sign(y, expected, r, accept: tuple[str, ...], unit: str) -> list[Finding]:
     """Outputs that are much nearer to the expected ones with their sign changed than as they are.
 
-    From such a record a law learns in the wrong direction. Of a machine that is as expected but for
-    noise it is never so, and of n independent samples that have nothing to do with the expected
-    ones with a chance below 0.8^n.
+    From such a record a law learns in the wrong direction. Of n independent samples that have
+    nothing to do with the expected ones it is so with a chance below 0.8^n. An output that is
+    expected to move by less than a share MOVES of the reference is not judged: a load, or what is
+    coupled from another axis, often has a sign that nobody knows.
 
-    y, expected: (N+1, n_y) outputs, measured and of the nominal machine
+    y, expected, r: (N+1, n_y) outputs, measured and of the nominal machine, and the reference
     """
-    off, turned = (np.sqrt(np.mean(x**2, axis=0)) for x in (y - expected, y + expected))
+    y, r = np.asarray(y), np.asarray(r)
+    off, turned, moved, wanted = (
+        np.sqrt(np.mean(x**2, axis=0)) for x in (y - expected, y + expected, expected, r)
+    )
     text = (
         "{} is {:.3g}{} (rms) away from what the plant file expects, with the other sign {:.3g}; "
         "suspected is the sign of the column, or of the plant's gain in the file"
@@ -558,8 +563,8 @@ def of_other_sign(y, expected, accept: tuple[str, ...], unit: str) -> list[Findi
     names = ["y"] if len(off) == 1 else [f"y{i}" for i in range(len(off))]
     return [
         _refused("frozen", text.format(name, far, spaced(unit), near), accept)
-        for name, far, near in zip(names, off, turned, strict=True)
-        if near < NEARER * far
+        for name, far, near, by in zip(names, off, turned, moved, strict=True)
+        if near < NEARER * far and by > MOVES * wanted.max()
     ]
 
 

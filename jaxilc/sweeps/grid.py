@@ -55,6 +55,7 @@ _RANGE = re.compile(r"([^:]+):([^:]+):\s*(\d+)\s*(log)?")
 _COMMA = re.compile(r",(?![^(\[]*[)\]])")  # none within brackets
 WAYS = "LOW:HIGH:COUNT, LOW:HIGH:COUNTlog, or values with commas between them"
 OF_A_VALUE = 64  # bytes
+MANY = 1000  # places of a grid that are checked in about a second
 TRIALS = "trials"
 STEPS = "trials_of_step"  # coordinate of schemes that make experiments
 EARLIEST = "variation.shortest"
@@ -242,7 +243,9 @@ class Grid:
         """Raises ValueError, naming the axis, for values with which a sweep cannot run.
 
         At all ends of the axes of leaves all values of the static ones are checked, their ends
-        first, and of drawn ends of trials the earliest. The numbers of the population are drawn.
+        first, and of drawn ends of trials the earliest. Where these are more than MANY, values
+        between the ends of the static axes are checked at the first end of the leaves alone. The
+        numbers of the population are drawn.
         """
         drawn = population.drawn
 
@@ -280,6 +283,9 @@ class Grid:
         names = [axis.name for axis in self.axes]
         ends = [axis.ends for axis in self.axes]
         every = [range(axis.size) if axis.static else axis.ends for axis in self.axes]
+        if math.prod(map(len, every)) > MANY:
+            every = [one if axis.static else one[:1]
+                     for axis, one in zip(self.axes, every, strict=True)]  # fmt: skip
         # all take a minute where they are many
         for positions in (ends, every) if self.static else (ends,):
             for place in (dict(zip(names, at, strict=True)) for at in product(*positions)):

@@ -160,10 +160,21 @@ def test_no_drive_in_order_is_taken_for_one_of_the_other_sign(seed):
         u = share * R[:-1]
         y = rig(u, 100 * seed + j)[:, None]
         nominal = np.append(0.0, scipy.signal.lfilter([1 - lag], [1, -lag], u))[:, None]
-        assert checks.of_other_sign(y, nominal, (), "mm") == []
-        assert len(checks.of_other_sign(-y, nominal, (), "mm")) == (share > 0)
+        assert checks.of_other_sign(y, nominal, R[:, None], (), "mm") == []
+        told = checks.of_other_sign(-y, nominal, R[:, None], (), "mm")
+        assert len(told) == (share > checks.MOVES)
     noise = np.random.default_rng(seed).standard_normal((1000, len(R), 2))
-    assert not any(checks.of_other_sign(y, noise[0], (), "mm") for y in noise)
+    assert not any(checks.of_other_sign(y, noise[0], noise[1], (), "mm") for y in noise)
+
+
+@pytest.mark.parametrize("wrong", [1, -1])
+def test_the_sign_of_a_load_or_of_a_coupling_between_axes_is_not_judged(wrong):
+    """Both were refused: a machine at rest under a load, and an axis beside one that moves."""
+    both = np.stack([R, 0 * R], axis=1)
+    load = wrong * np.full(both.shape, 0.02)
+    assert checks.of_other_sign(load, np.full(both.shape, 0.02), both, (), "mm") == []
+    beside = np.stack([R, 0.002 * R], axis=1)
+    assert checks.of_other_sign(beside * [1, wrong], beside, both, (), "mm") == []
 
 
 def test_a_first_trial_of_the_other_sign_is_refused(tmp_path):
