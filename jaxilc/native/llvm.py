@@ -679,8 +679,8 @@ def module(functions: Sequence[Text]) -> str:
     """The text of a module of functions, whose names differ.
 
     They align the stack. LLVM aligns it to 16 bytes where it decides late to keep registers there,
-    so that most of them would lie across two lines of the cache: the slopes of FFDL-MFAILC took
-    1.1 to 1.2 times as long.
+    so that most of them may lie across two lines of the cache: the slopes of FFDL-MFAILC took
+    up to 1.2 times as long, by where the stack began.
     """
     declared = {line for one in functions for line in one.declared}
     attributes = f"attributes #0 = {{ noinline nounwind alignstack={ALIGNED} {WIDTH} }}"
