@@ -77,8 +77,8 @@ def for_verdict(recipe: Mapping[str, Value], trials_of_step: Value) -> dict[str,
 def said_of_source(recipe: Mapping[str, Value]) -> list[str]:
     """Sentences on what a campaign belongs to."""
     found = belongs_to(recipe)
-    checksum = f", sha256 {str(found['sha256'])[:SHOWN]}" if found["sha256"] else ""
-    said = [f"the campaign belongs to {found['source']}{checksum}; its scheme is {found['scheme']}"]
+    digest = f", sha256 {str(found['sha256'])[:SHOWN]}" if found["sha256"] else ""
+    said = [f"the campaign belongs to {found['source']}{digest}; its scheme is {found['scheme']}"]
     weights = [f"{path} = {_brief(value)}" for path, value in found["weights"].items()]
     listed = first_of(weights, WEIGHTS)
     if found["parameters"]:

@@ -192,6 +192,47 @@ def test_a_first_trial_of_the_other_sign_is_refused(tmp_path):
     assert faults.call(*learn)[0] == 0
 
 
+def test_a_sign_is_not_judged_of_a_trial_within_its_band(tmp_path):
+    """A coupling of a half between two axes, of the other sign, leaves the error that it has.
+
+    What it does to an axis at rest is a jump, which is accepted here.
+    """
+    plant, schedule, file = (tmp_path / name for name in ("axes.toml", "next.csv", "1.csv"))
+    r = np.stack([R, 0 * R], axis=1)
+    rows = (f"{k * DT},{x},0" for k, x in enumerate(R))
+    (tmp_path / "r.csv").write_text("\n".join(["t,x,y", *rows]))
+    plant.write_text(f"""
+        [plant]
+        kind = "state_space"
+        A = [[0.7, 0.0], [0.0, 0.7]]
+        B = [[0.3, 0.0], [0.15, 0.3]]
+        C = [[1.0, 0.0], [0.0, 1.0]]
+        dt = {DT}
+        [machine.sensor]
+        noise = 0.001
+        [task]
+        dt = {DT}
+        inputs = 2
+        unit = "mm"
+        reference = [{{csv = "r.csv", column = "x"}}, {{csv = "r.csv", column = "y"}}]
+        [schemes.law]
+        class = "PIDType"
+        gamma_p = 0.5
+    """)
+    state = ("next", "--state", tmp_path / "x", "--out", schedule)
+    assert faults.call(*state, "--scenario", plant)[0] == 0
+    rng = np.random.default_rng(1)
+    for _ in range(2):
+        table = np.loadtxt(schedule, delimiter=",", skiprows=1)[:, -2:]
+        y = scipy.signal.lfilter([0, 0.3], [1, -0.7], table @ [[1, -0.5], [0, 1]], axis=0)
+        y += 0.001 * rng.standard_normal(y.shape)
+        columns = np.column_stack([np.arange(len(R)) * DT, r, y, table])
+        head = "t [s],r0 [mm],r1 [mm],y0 [mm],y1 [mm],u0,u1"
+        np.savetxt(file, columns, delimiter=",", header=head, comments="")
+        code, told = faults.call(*state, "--measured", file, "--set", "campaign.accept=jump")
+        assert code == 0, told
+
+
 def test_a_dead_encoder_is_refused_without_a_file_and_the_campaign_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(faults, "TRIALS", 4)
     monkeypatch.setattr(faults, "FAULTY", 3)
