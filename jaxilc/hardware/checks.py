@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ..learning.machine import Actuator
 from ..learning.playback import unit_of
@@ -419,7 +420,8 @@ DEAD = 1e-3  # share of the range of the reference, where no trial before has mo
 TRAVEL = 0.25  # share of that range over which a channel that stands still ought to have moved
 NEARER = 0.5  # share of the error to its own reference that an output has to another's
 MOVES = 0.1  # of the reference, up to which the sign of a motion is not judged
-FASTER = 5.0  # times the fastest step of reference and last trial that no motion exceeds
+FASTER = 5.0  # times the largest usual step of an output, which no motion exceeds
+LASTS = 7  # samples, of which a motion makes most steps as large; a lost count is one, a spike two
 ROUGH = 20.0  # times the median step: in the first trial, a step below it may be noise
 MISPLAYED = 0.1  # share of the input's rms by which the recorded input may differ
 GROWN, GROWN_BEYOND = 10.0, 3.0  # times the best error; the second for one above the band, too
@@ -579,25 +581,29 @@ def _longest_run(s) -> tuple[int, int]:
 def jumped(y, r, last_y, accept: tuple[str, ...], unit: str) -> list[Finding]:
     """A step of an output that the motion cannot make.
 
+    A motion that lasts for samples, as the coupling of another axis makes it, is no step up to the
+    largest steps of all outputs.
+
     y: (rows, n_y) output, as far as it was measured
     last_y: (N+1, n_y) output of the last whole trial, None without one
     """
     found, unit = [], spaced(unit)
-    for i in range(np.shape(y)[1]):
-        steps = np.abs(np.diff(y[:, i]))
-        usual = np.max(np.abs(np.diff(r[:, i])))
-        if last_y is not None:
-            usual = max(usual, float(np.max(np.abs(np.diff(last_y[:, i])))))
+    moved = [np.max(np.abs(np.diff(x, axis=0)), axis=0) for x in (r, last_y) if x is not None]
+    own = np.max(moved, axis=0)
+    for i, steps in enumerate(np.abs(np.diff(y, axis=0)).T):
+        around = sliding_window_view(steps, min(LASTS, len(steps)))
+        lasting = float(np.max(np.median(around, axis=1)))
+        usual = max(own[i], min(lasting, np.max(own)))
         grid = float(np.min(steps[steps > 0], initial=np.inf))
         allowed = max(FASTER * usual, 3 * min(grid, usual))
         if last_y is None:
             allowed = max(allowed, ROUGH * float(np.median(steps)))
         k = int(np.argmax(steps))
-        if usual > 0 and steps[k] > allowed:
+        if own[i] > 0 and steps[k] > allowed:
             called = "y" if np.shape(y)[1] == 1 else f"y{i}"
             text = (
-                f"{called} jumps by {steps[k]:.3g}{unit} at sample {k + 1}, where reference "
-                f"and last trial make steps of {usual:.3g}{unit} at most; suspected is the "
+                f"{called} jumps by {steps[k]:.3g}{unit} at sample {k + 1}, where the motion "
+                f"makes steps of {usual:.3g}{unit} at most; suspected is the "
                 "encoder (lost counts, noise) or a wrong unit"
             )
             found.append(_refused("jump", text, accept))

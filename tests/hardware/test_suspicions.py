@@ -107,6 +107,28 @@ def test_lost_counts_and_another_unit_are_steps_that_no_motion_makes():
     assert "  " not in found, "a task without a unit"
 
 
+@pytest.mark.parametrize("coupling", [0.5, -0.02])
+@pytest.mark.parametrize("count", [0.0, 1e-3])
+def test_an_axis_at_rest_that_another_one_moves_does_not_jump(coupling, count):
+    """Its steps were compared with its own reference and last trial alone, which both rest."""
+    rng = np.random.default_rng(0)
+    r = np.stack([R, 0 * R], axis=1)
+    noise = 1e-3 * rng.standard_normal((2, *r.shape))
+    last, y = noise[0], noise[1] + LAST * [1, coupling]
+    if count:
+        last, y = (count * np.round(x / count) for x in (last, y))
+    assert checks.jumped(y, r, last, (), "mm") == []
+    for axis in (0, 1):
+        slipped, spiked, dropped, inches = (y.copy() for _ in range(4))
+        slipped[300:, axis] -= 1.0
+        spiked[300, axis] += 1.0
+        dropped[300:310, axis] = 5.0
+        inches[:, axis] = 1000 * LAST[:, 0]
+        for wrong in (slipped, spiked, dropped, inches):
+            (found,) = said(checks.jumped(wrong, r, last, (), "mm"))
+            assert found.startswith(f"refusal: y{axis} jumps by")
+
+
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
@@ -193,10 +215,7 @@ def test_a_first_trial_of_the_other_sign_is_refused(tmp_path):
 
 
 def test_a_sign_is_not_judged_of_a_trial_within_its_band(tmp_path):
-    """A coupling of a half between two axes, of the other sign, leaves the error that it has.
-
-    What it does to an axis at rest is a jump, which is accepted here.
-    """
+    """A coupling of a half between two axes, of the other sign, leaves the error that it has."""
     plant, schedule, file = (tmp_path / name for name in ("axes.toml", "next.csv", "1.csv"))
     r = np.stack([R, 0 * R], axis=1)
     rows = (f"{k * DT},{x},0" for k, x in enumerate(R))
@@ -229,7 +248,7 @@ def test_a_sign_is_not_judged_of_a_trial_within_its_band(tmp_path):
         columns = np.column_stack([np.arange(len(R)) * DT, r, y, table])
         head = "t [s],r0 [mm],r1 [mm],y0 [mm],y1 [mm],u0,u1"
         np.savetxt(file, columns, delimiter=",", header=head, comments="")
-        code, told = faults.call(*state, "--measured", file, "--set", "campaign.accept=jump")
+        code, told = faults.call(*state, "--measured", file)
         assert code == 0, told
 
 
