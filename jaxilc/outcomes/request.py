@@ -77,9 +77,10 @@ class Request:
         """Whether the scenario is a plant file."""
         return self.source not in LISTED and Path(self.source).suffix in FILES
 
-    def scenario(self) -> Scenario:
+    def scenario(self, *, grid: bool = False) -> Scenario:
         """The scenario as it is asked for.
 
+        grid: whether it is run at the points of a grid, which `Sweep` checks, in place of its own
         Its options are set first, then the parameters, then all else, then the schemes are chosen.
         The metric and the tolerance judge it, and the spread widens its uncertainty.
         Raises ValueError naming what is allowed.
@@ -101,7 +102,8 @@ class Request:
         chosen = here._with_trials(chosen.with_values(rest)).select(here.schemes)
         if here.params is not None:
             warn_of_another(chosen, here.params, settings_of(here.set))
-        chosen.check()
+        if not grid:
+            chosen.check()
         chosen = judged(here._widened(chosen), here.metric)
         limit = chosen.tolerance if here.tolerance is None else here.tolerance
         return dataclasses.replace(chosen, tolerance=limit)

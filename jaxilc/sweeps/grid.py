@@ -245,7 +245,7 @@ class Grid:
         At all ends of the axes of leaves all values of the static ones are checked, their ends
         first, and of drawn ends of trials the earliest. Where these are more than MANY, values
         between the ends of the static axes are checked at the first end of the leaves alone. The
-        numbers of the population are drawn.
+        numbers of the population are drawn. What the axes replace is not checked: it is not run.
         """
         drawn = population.drawn
 
@@ -260,7 +260,9 @@ class Grid:
                 if isinstance(of, CountedMetric):
                     of.check(machine, task)
 
-        allow(parts.machine, parts.task)
+        if not self.axes:
+            allow(parts.machine, parts.task)
+            return
         taken = [name for axis in self.axes for name in axis.values]
         for one, other in combinations(taken, 2):
             if _overlap(one, other):

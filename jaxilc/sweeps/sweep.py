@@ -110,7 +110,9 @@ class Sweep:
                     f"Sweep: schemes has a scheme {name!r}, with which a grid names other parts; "
                     "allowed is another name"
                 )
-            check(cast("Machine", self.machine), scheme, self.task)
+            need_kinds(machine=self.machine, scheme=scheme, task=self.task)
+            if not self.grid:  # whose points the plan checks; they may replace what is wrong here
+                check(cast("Machine", self.machine), scheme, self.task)
         _ = self.plan  # which cannot be made of a machine, a draw or a grid that does not fit
 
     @cached_property

@@ -3,6 +3,7 @@
 import dataclasses
 from contextlib import nullcontext
 from itertools import product
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from jaxilc import Sweep
 from jaxilc.figures import error_band
 from jaxilc.figures.within_trial import signal_of
 from jaxilc.filters import SwitchableFilter
+from jaxilc.outcomes import Request, sweep
 from jaxilc.runtime import capacity
 from jaxilc.schemes import (
     FFDLMFAILC,
@@ -301,6 +303,22 @@ def test_a_grid_is_refused_where_one_of_its_points_is(seed, monkeypatch):
     for x, y in product(period, longest):
         with nullcontext() if x < y else pytest.raises(ValueError, match="from what the law"):
             of(x, y, {})
+
+
+def test_a_value_that_an_axis_replaces_is_not_checked(monkeypatch):
+    """It was refused, although it is run nowhere."""
+    monkeypatch.setattr(Sweep, "host", None)
+    late = {"learning": dataclasses.replace(LEARNING["learning"], lead=5000)}
+    plan = dataclasses.replace(ONE, schemes=late, grid={"learning.lead": [0, 2]})
+    assert plan.axes.size == 2
+    for grid in ({}, {"learning.lam": [1.0, 2.0]}):
+        with pytest.raises(ValueError, match="CFDLMFAILC: lead = 5000 is outside its"):
+            dataclasses.replace(plan, grid=grid)
+    with pytest.raises(ValueError, match="scheme = 3 is a int"):
+        dataclasses.replace(plan, schemes={"learning": 3})
+    late = Request("cao-2019", schemes=("cfdl-mfailc",), set=("cfdl-mfailc.lead=50000",))
+    with pytest.raises(Killed):  # where it would run
+        sweep(late, grid="cfdl-mfailc.lead=0,2", run=Mock(side_effect=Killed))
 
 
 def test_leaves_are_checked_at_their_ends_together(monkeypatch):
