@@ -50,13 +50,14 @@ if TYPE_CHECKING:
 
     from ..theory.bounds import Checked
 
+MACHINES = 64  # that are drawn where no number is asked for
 COURSE_WORDS = {TURNS: "turned after a best trial", GROWS: "ended above the start"}
 
 
 def certify(
     request: Request | str,
     *,
-    machines: int = 64,
+    machines: int = MACHINES,
     seed: int = 0,
     sampling: str = "monte-carlo",
     folder: str | Path | None = None,
@@ -98,6 +99,9 @@ def certify(
         lines.append(certificate_sentence(name, chosen.trials, of_scheme, scale, unit))
         lines += reason_lines(name, of_scheme)
         lines += printed_lines(name, of_scheme)
+    if not chosen.uncertainty and machines not in (1, MACHINES):
+        lines.append(f"machines = {machines} has no effect: without an uncertainty the nominal "
+                     "machine is the only one")  # fmt: skip
     broken = [name for name, row in numbers.items() if row["contradicted"]]
     what = "simulation contradicts what was claimed: please report this"
     of_all = {"scenario": request.source, "trials": chosen.trials, "samples": machines}

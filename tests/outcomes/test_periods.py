@@ -53,6 +53,22 @@ def test_repetitive_control_is_certified_from_period_to_period(tmp_path):
     assert e[-100:].max() < 0.01 * e[:100].max()
 
 
+def test_a_number_of_machines_that_cannot_differ_is_told(tmp_path):
+    """Nothing was said where the file has no uncertainty; one machine was certified."""
+    file = tmp_path / "axis.toml"
+    file.write_text("""
+        trials = 2
+        plant = { kind = "state_space", A = [[0.5]], B = [[0.5]], C = [[1.0]], dt = 0.1 }
+        task.dt = 0.1
+        task.reference = { function = "sinusoid", amplitude = 1.0, frequency = 1.0, duration = 1.0 }
+        schemes = { law = { class = "PIDType", gamma_p = 1.0 } }
+    """)
+    request = Request(str(file))
+    (told,) = {*certify(request, machines=10**9).lines} - {*certify(request).lines}
+    assert told.startswith("machines = 1000000000 has no effect: without an uncertainty the nom")
+    assert certify(request, machines=1).lines == certify(request).lines
+
+
 def test_a_law_that_is_too_strong_is_not_certified_and_no_scheme_at_all_is_refused(tmp_path):
     file = tmp_path / "turning.toml"
     file.write_text(TURNING.replace("[0.1, 0.3, 0.1]", "[0.1, 3.0, 0.1]"))
