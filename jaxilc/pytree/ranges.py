@@ -82,7 +82,7 @@ def require(
     if found is None or (found.ndim and not many):
         said = f"= {brief(values)} is not a number{' or an array of numbers' * many}"
         raise ValueError(f"{name} {TRACED if hasattr(values, 'aval') else said}")
-    for i, value in np.ndenumerate(found):
+    for i, value in np.ndenumerate(found) if whole or not wanted.contains(found) else ():
         if not wanted.contains(value) or (whole and value % 1):
             said = f"{outside(value, wanted, unit)}{' of whole numbers' * whole}{note}"
             raise ValueError(f"{name}{list(i) or ''} = {said}")

@@ -37,6 +37,7 @@ from .specification import Table, at_place, list_of_numbers, number, numbers, on
 UNITS = "lengths in the `unit` of the task, times in s, feeds in that unit per s"
 LARGEST_PROGRAM = 16_000_000  # bytes
 _number = functools.partial(number, units=UNITS)
+_positive = functools.partial(_number, allowed="(0, inf)")
 MILLIMETRE = {"mm": 1.0, "": 1.0, "µm": 1e3, "um": 1e3, "m": 1e-3}  # in units of the task
 POINTS = 100_000  # of a file, at most
 Limits: TypeAlias = dict[str, np.ndarray]  # of acceleration and jerk
@@ -78,8 +79,7 @@ def planned_path(values: Value, where: str, setting: Setting) -> np.ndarray:
         name: table.take(name, lambda v, at: _limit(v, at, len(setting.axes)))
         for name in ("acceleration", "jerk")
     }
-    rest = table.take("rest", _number, 0.0)
-    require("", table.at("rest"), rest, "[0, inf)", " s")
+    rest = table.take("rest", functools.partial(_number, allowed="[0, inf)"), 0.0)
     reference, said = PATHS[kind](table, setting, limits)
     hold = np.ceil(rest / setting.dt - 1e-9)
     if not len(reference) + 2 * hold <= paths.LONGEST:
@@ -94,8 +94,8 @@ def planned_path(values: Value, where: str, setting: Setting) -> np.ndarray:
 
 
 def _circle(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:
-    radius, turns = table.take("radius", _number), table.take("turns", _number, 1.0)
-    require("", table.at("turns"), turns, "[0.01, 1000]")
+    radius = table.take("radius", _number)
+    turns = table.take("turns", functools.partial(_number, allowed="[0.01, 1000]"), 1.0)
     _need_axes(table, setting, 2)
     return _curve(table, setting, limits, lambda: (paths.circle(radius), (0.0, 2 * np.pi * turns)))
 
@@ -162,10 +162,9 @@ def _points(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray,
 
 def _gcode(table: Table, setting: Setting, limits: Limits) -> tuple[np.ndarray, str]:
     file = setting.folder / table.take("file", text)
-    rapid = table.take("rapid", _number, None)
+    rapid = table.take("rapid", _positive, None)
     corner = table.take("corner", _corner, None)
     table.done()
-    require("", table.at("rapid"), rapid, "(0, inf)", optional=True)
     if setting.unit not in MILLIMETRE:
         raise ValueError(
             f"{table.where}: a program has lengths in mm, and the task has the unit "
@@ -252,12 +251,11 @@ def _points_of(file: Path, axes: Sequence[str], unit: str) -> np.ndarray:
 
 
 def _limit(value: Value, where: str, d: int) -> np.ndarray:
-    limit = numbers(value, where, UNITS)
+    limit = numbers(value, where, UNITS, "(0, inf)")
     if limit.shape not in ((), (d,)):
         raise ValueError(
             f"{where} = {brief(value)} is not one number, or one for each of the {d} axes"
         )
-    require("", where, limit, "(0, inf)", many=True)
     return limit
 
 
@@ -267,9 +265,7 @@ def _corner(value: Value, where: str) -> float | None:
         return None
     if isinstance(value, str):
         raise ValueError(f'{where} = {brief(value)} is not "stop", or a tolerance as a number')
-    tolerance = _number(value, where)
-    require("", where, tolerance, "(0, inf)", note=', or "stop"')
-    return tolerance
+    return _positive(value, where, note=', or "stop"')
 
 
 def _need_axes(table: Table, setting: Setting, d: int) -> None:

@@ -21,7 +21,7 @@ from ..plants.cnc_axis import Axes
 from ..plants.from_python_control import Linear, canonical_form, from_linear
 from ..plants.linear import LARGEST_ORDER
 from ..pytree.aliases import Value
-from ..pytree.ranges import brief, require
+from ..pytree.ranges import brief
 from ..storage.columns import need_unit
 from ..storage.reading import LARGEST_TABLE, read_bytes, read_tree
 from ..storage.sealed import as_json, checksum, seal_of, sealed, unsealed, write_json
@@ -331,9 +331,7 @@ def _sections(
 
 
 def _sample_time(value: Value, where: str) -> float:
-    dt = number(value, where)
-    require("", where, dt, "[0, inf)", note=", 0 for continuous time")
-    return dt
+    return number(value, where, allowed="[0, inf)", note=", 0 for continuous time")
 
 
 def _root(value: Value, where: str) -> complex:

@@ -24,7 +24,6 @@ from ..plants import Plant
 from ..plants.cnc_axis import Axes
 from ..pytree.aliases import Value
 from ..pytree.named_paths import get_at, overlapping, replaced
-from ..pytree.ranges import require
 from ..schemes.at_samples import windows_of
 from ..signals import references
 from ..signals.task import Task
@@ -79,9 +78,7 @@ def task_of(values: Value, where: str, folder: Path, plant: Plant, notes: list[s
     """
     table = Table(values, where)
     in_units = functools.partial(number, units=UNITS)
-    dt = table.take("dt", in_units)
-    require("", table.at("dt"), dt, "(0, inf)")
-
+    dt = table.take("dt", functools.partial(in_units, allowed="(0, inf)"))
     unit = table.take("unit", text, "")
     names = tuple(table.take("names", list_of(text), list(names_of(plant))))
     if names and len(names) != plant.n_y:

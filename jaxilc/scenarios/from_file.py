@@ -18,6 +18,7 @@ import dataclasses
 import inspect
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from ..learning.machine import Machine
@@ -231,10 +232,9 @@ def read_scenario(path: str | Path) -> Scenario:
 def _potential(values: Value, where: str) -> Learnable:
     """What repeats of the motion told."""
     table = Table(values, where)
-    found = Learnable(*(table.take(name, number) for name in Learnable._fields))
+    positive = partial(number, allowed="(0, inf)")
+    found = Learnable(*(table.take(name, positive) for name in Learnable._fields))
     table.done()
-    for name, value in found._asdict().items():
-        require("", name, value, "(0, inf)")
     return found
 
 

@@ -18,7 +18,7 @@ from .. import filters, plants, schemes
 from ..plants import Plant
 from ..pytree.aliases import Tree, Value
 from ..pytree.closest import closest, known_names, listed, not_one_of
-from ..pytree.ranges import as_numbers, brief, is_whole
+from ..pytree.ranges import as_numbers, brief, is_whole, require
 from ..schemes import Scheme
 
 if TYPE_CHECKING:
@@ -158,12 +158,17 @@ def by_name(found: Iterable[tuple[str, str, T]]) -> dict[str, T]:
 # --------------------------------------------------------------------------------------------------
 
 
-def number(value: Value, where: str, units: str = "") -> float:
-    """One finite number.
+def number(
+    value: Value, where: str, units: str = "", allowed: str = "(-inf, inf)", note: str = ""
+) -> float:
+    """One finite number in an interval.
 
     units: the units of numbers in this place, for the message on text such as `"1 mm"`
+    note: text of the message after the interval
     """
-    return float(_finite(value, where, "a number", (), units)[()])
+    found = array(value, where, units, "a number", 0)
+    require("", where, found, allowed, note=note)
+    return float(found)
 
 
 def whole(value: Value, where: str) -> int:
@@ -184,30 +189,39 @@ def flag(value: Value, where: str) -> bool:
     return value
 
 
-def numbers(value: Value, where: str, units: str = "") -> np.ndarray:
-    """A number, or nested lists of numbers that form an array; all must be finite.
+def numbers(value: Value, where: str, units: str = "", allowed: str = "(-inf, inf)") -> np.ndarray:
+    """A number, or nested lists of numbers that form an array; all in an interval.
 
     units: as for `number`
     """
-    return _finite(value, where, "a number or a list of numbers", units=units)
+    found = array(value, where, units)
+    require("", where, found, allowed, many=True)
+    return found
 
 
 def list_of_numbers(value: Value, where: str) -> np.ndarray:
     """One list of finite numbers."""
-    return _finite(value, where, "a list of numbers", (-1,))
+    array(value, where, said="a list of numbers", ndim=1)
+    return numbers(value, where)
 
 
-def _finite(
-    value: Value, where: str, said: str, shape: tuple | None = None, units: str = ""
+def array(
+    value: Value,
+    where: str,
+    units: str = "",
+    said: str = "a number or a list of numbers",
+    ndim: int | None = None,
 ) -> np.ndarray:
-    """The value as a finite array of the shape (), (-1,), or any shape for None."""
+    """A number, or nested lists of numbers; who reads them says which are allowed.
+
+    units: as for `number`
+    ndim: number of axes, None for any, as `said`
+    """
     found = None if isinstance(value, bool | np.bool_ | str) else as_numbers(value)
-    if found is None or (shape is not None and found.ndim != len(shape)):
+    if found is None or (ndim is not None and found.ndim != ndim):
         plain = "; numbers are written without quotes and without a unit" + (units and f": {units}")
         note = plain if isinstance(value, str) else ""
         raise ValueError(f"{where} = {brief(value)} is not {said}{note}")
-    if not np.all(np.isfinite(found)):
-        raise ValueError(f"{where} = {brief(value)} is not finite")
     return found
 
 
@@ -310,7 +324,7 @@ def _field(
 ) -> Value:
     kind = field.metadata.get("kind", "child")
     if kind == "leaf":
-        return numbers(value, where)
+        return array(value, where)
     if kind == "static":
         return tuple(value) if isinstance(value, list) else value
     if typing.get_origin(hint) is tuple and isinstance(value, list):  # parts of one kind
@@ -412,7 +426,7 @@ def called(function: Callable[..., T], table: Table, units: str, **given: Value)
     """
 
     def in_units(value: Value, where: str) -> np.ndarray:
-        return numbers(value, where, units)[()]
+        return array(value, where, units)[()]
 
     arguments, parameters = {}, inspect.signature(function).parameters
     table.known = [*parameters]

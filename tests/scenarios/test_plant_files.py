@@ -482,7 +482,10 @@ REFUSED = {
     ),
     "plant.poles has 1001 numbers; allowed are at most 1000": roots(poles=[-1.0] * 1001),
     "1 zeros over 1 poles; allowed are": roots(zeros=[-1.0], poles=[-2.0]),
-    r"plant.zeros\[0\] = nan is not finite": roots(zeros=[float("nan")], poles=[-1, -2]),
+    r"plant.zeros\[0\] = nan is outside its allowed range \(-inf, inf\)": roots(
+        zeros=[float("nan")], poles=[-1, -2]
+    ),
+    r"plant.dt = nan is outside its allowed range \[0, inf\), 0 for": plant(dt=float("nan")),
     r"C \(1, 2\) do not fit; allowed are": {
         "plant": {"kind": "state_space", "A": COLUMN, "B": ROW, "C": ROW}
     },
@@ -545,6 +548,9 @@ REFUSED = {
         "PID", form="speed"
     ),
     "schemes.a: ": scheme("PID", kp=[1.0, 2.0]),
+    r"schemes.a: PIDType: leak = nan is outside its allowed range \[0, 1\)": scheme(
+        "PIDType", gamma_p=1.0, leak=float("nan")
+    ),
     "schemes.a.filter is missing; present are class": scheme(
         "Filtered", scheme={"class": "PIDType"}
     ),
