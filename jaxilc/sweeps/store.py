@@ -338,10 +338,14 @@ def stored_configuration(path: Path) -> dict[str, Value]:
 
 
 def _opened(store: Path | ZarrStore) -> xr.Dataset:
-    """The dataset of a store; a unit such as `days since` is one of an output, and no date's."""
+    """The dataset of a store; a unit such as `days since` is one of an output, and no date's.
+
+    The variables are sorted by name: a file system lists them in any order.
+    """
     import xarray as xr
 
-    return xr.open_zarr(store, chunks=None, consolidated=False, decode_times=False)
+    found = xr.open_zarr(store, chunks=None, consolidated=False, decode_times=False)
+    return found[sorted(map(str, found.variables))]
 
 
 def _keep_marked(dataset: xr.Dataset, recipe: Mapping[str, Value], chunk: int) -> None:

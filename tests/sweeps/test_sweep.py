@@ -4,6 +4,7 @@ Their summary is tested too.
 """
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -114,6 +115,11 @@ def test_a_store_under_earlier_names_is_resumed_and_opened(tmp_path, dataset, mo
     assert whole.attrs["configuration"] == earlier_names(dataset.attrs["configuration"])
     xr.testing.assert_identical(whole.drop_attrs(deep=False), dataset.drop_attrs(deep=False))
     xr.testing.assert_identical(jaxilc.open_dataset(store), whole)
+    # The variables are sorted, in whatever order the file system lists them.
+    listed = Path.iterdir
+    for order in (sorted, lambda of: sorted(of, reverse=True)):
+        monkeypatch.setattr(Path, "iterdir", lambda self, order=order: iter(order(listed(self))))
+        assert [*jaxilc.open_dataset(store).data_vars] == sorted(dataset.data_vars)
 
 
 def test_the_results_of_each_chunk_are_told_when_they_are_computed(dataset, tmp_path):
