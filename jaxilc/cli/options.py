@@ -199,7 +199,7 @@ OF_CAMPAIGN = {
     "growth": (float, "share by which the rms error may grow without a warning"),
     "accept_saturation": (bool, "learn in spite of saturation"),
     "stop_on_growth": (bool, "refuse a trial whose error grew"),
-    "accept": (str, "what is not refused in this call: frozen,jump,schedule,growth,input"),
+    "accept": (str, "what is not refused in this call: frozen,sign,jump,schedule,growth,input"),
     "replayed_input": (bool, "without u: the scheme's input over the measured y"),
     "short_trial": (bool, "the trial may have ended early: learn from its part"),
     "predict": (bool, "whether errors of trials are predicted by the plant file, from now on"),

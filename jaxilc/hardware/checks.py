@@ -31,7 +31,7 @@ AS_COMMANDED = 0.01
 # a share of a number; and the digits to which one of the files may be rounded.
 SAME, SINGLE, DIGITS = 1e-8, 2.0**-23, range(4, 9)
 # What `Rules.accept` may name: the refusals of `checks`.
-ACCEPTED = ("frozen", "jump", "schedule", "growth", "input")
+ACCEPTED = ("frozen", "sign", "jump", "schedule", "growth", "input")
 LITTLE = 0.5  # share of the error; if repeated trials differ by more, little can be learned
 
 
@@ -564,7 +564,7 @@ def of_other_sign(y, expected, r, accept: tuple[str, ...], unit: str) -> list[Fi
     )
     names = ["y"] if len(off) == 1 else [f"y{i}" for i in range(len(off))]
     return [
-        _refused("frozen", text.format(name, far, spaced(unit), near), accept)
+        _refused("sign", text.format(name, far, spaced(unit), near), accept)
         for name, far, near, by in zip(names, off, turned, moved, strict=True)
         if near < NEARER * far and by > MOVES * wanted.max()
     ]

@@ -170,7 +170,7 @@ def test_an_input_that_is_not_the_one_to_play_is_refused():
 
 
 def test_rules_name_what_is_accepted():
-    with pytest.raises(ValueError, match="accept = 'all' is none of frozen, jump"):
+    with pytest.raises(ValueError, match="accept = 'all' is none of frozen, sign, jump"):
         Rules(accept=("all",)).checked()
 
 
@@ -185,6 +185,9 @@ def test_no_drive_in_order_is_taken_for_one_of_the_other_sign(seed):
         assert checks.of_other_sign(y, nominal, R[:, None], (), "mm") == []
         told = checks.of_other_sign(-y, nominal, R[:, None], (), "mm")
         assert len(told) == (share > checks.MOVES)
+        for accept, kind in ((("frozen",), "refusal"), (("sign",), "warning")):
+            told = checks.of_other_sign(-y, nominal, R[:, None], accept, "mm")
+            assert {of.kind for of in told} <= {kind}
     noise = np.random.default_rng(seed).standard_normal((1000, len(R), 2))
     assert not any(checks.of_other_sign(y, noise[0], noise[1], (), "mm") for y in noise)
 
