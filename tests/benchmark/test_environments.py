@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -35,14 +36,16 @@ def test_an_environment_measures_runs_and_gradients(monkeypatch):
     assert found == {"cfdl": 2.0, "cfdl gradient": 5.0, "ffdl": 2.0, "ffdl gradient": 5.0}
 
 
-def run_matrix(folder: Path, **named: str) -> subprocess.CompletedProcess:
+def run_matrix(
+    folder: Path, script: Path = ROOT / ".ci" / "matrix", **named: str
+) -> subprocess.CompletedProcess:
     """Run the matrix where each Python on PATH is a shim that does not run, as pyenv has some."""
     for version in ("3.11", "3.12", "3.13"):
         shim = folder / f"python{version}"
         shim.write_text("#!/bin/sh\nexit 127\n")
         shim.chmod(0o755)
     return subprocess.run(
-        [ROOT / ".ci" / "matrix"],
+        [script],
         env={"PATH": f"{folder}:/usr/bin:/bin", "PYENV_ROOT": str(folder), **named},
         capture_output=True,
         text=True,
@@ -70,6 +73,25 @@ def test_a_named_python_that_is_not_of_its_version_stops_the_matrix(named, tmp_p
     assert found.returncode != 0
     assert found.stdout == ""
     assert found.stderr.startswith(f"{variable} is {named}, which does not run as Python {version}")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the matrix is a script for a POSIX shell")
+def test_an_environment_of_another_interpreter_is_made_anew(tmp_path):
+    """It was kept, and tests ran with the old one."""
+    shutil.copytree(ROOT / ".ci", tmp_path / ".ci")
+    one, other, make = (tmp_path / name for name in ("one", "other", "make"))
+    for python in (one, other):
+        python.write_text(f"#!/bin/sh\ncase $2 in *base_prefix*) echo {python.name};; esac\n")
+    make.write_text('#!/bin/sh\neval "$2" "$4"; mkdir -p $VENV/bin; cp -n $PYTHON $VENV/bin/python')
+    for program in (one, other, make):
+        program.chmod(0o755)
+    home = tmp_path / ".matrix" / "3.13"
+    for python, kept in ((one, False), (one, True), (other, False)):
+        found = run_matrix(tmp_path, tmp_path / ".ci" / "matrix", PYTHON3_13=str(python))
+        assert found.returncode == 0, found.stderr
+        assert (home / "bin" / "python").read_text() == python.read_text()
+        assert (home / "kept").exists() == kept
+        (home / "kept").touch()
 
 
 def test_the_other_lists_replace_packages_of_the_pinned_one():
