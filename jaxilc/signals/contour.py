@@ -37,7 +37,8 @@ def contour_error(y: Value, path: Value, *, window: int, closed: bool | None = N
     The path between points is their chord, which errs by curvature h^2 / 8 at a spacing h. The sign
     needs corners below 90 deg. The function is differentiable in y and path and can be vmapped: the
     gradient is the path's unit normal, or at a corner points away from it. It is zero at zero
-    distance from a corner or, in space, from the path.
+    distance from a corner or, in space, from the path. Where the path dwells, the points that
+    coincide must move together: the distance has a kink, and no gradient, where they part.
 
     Raises ValueError where the shapes do not fit, window is not a whole number >= 1, or closed is
     not True, False or None.

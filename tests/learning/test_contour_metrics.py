@@ -54,16 +54,22 @@ def metric_of(of, y, path, window=64):
 
 
 @pytest.mark.parametrize("of", WAYS)
-@pytest.mark.parametrize(("kind", "d"), [("open", 2), ("open", 3), ("closed", 2), ("closed", 3)])
+@pytest.mark.parametrize(
+    ("kind", "d"), [("open", 2), ("open", 3), ("closed", 2), ("closed", 3), ("dwelling", 2)]
+)
 def test_slopes_by_the_outputs_and_the_path_are_differences(kind, d, of):
     s, rng, h = np.linspace(0, 1, 121), np.random.default_rng(d), 1e-7
     turns = 2 * np.pi * s if kind == "closed" else 4 * s
     path = np.stack([5 * np.cos(turns), 3 * np.sin(turns), np.sin(2 * turns)][:d], axis=1)
+    if kind == "dwelling":
+        path[40:50] = path[40]
     for window, noise in ((3, 0.02), (64, 0.02), (64, 0.3)):
         y = path + noise * rng.standard_normal(path.shape)
         by_y, by_path = rng.standard_normal((2, *path.shape))
         if kind == "closed":
             by_path[-1] = by_path[0]  # the corner there is one
+        if kind == "dwelling":
+            by_path[40:50] = by_path[40]
         slopes = jax.grad(metric_of, (1, 2))(of, jnp.asarray(y), jnp.asarray(path), window)
         after, before = (metric_of(of, y + x * by_y, path + x * by_path, window) for x in (h, -h))
         found = np.vdot(slopes[0], by_y) + np.vdot(slopes[1], by_path)
