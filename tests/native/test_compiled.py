@@ -169,6 +169,16 @@ def test_numbers_do_not_depend_on_lanes_groups_threads_or_what_was_in_the_ram(mo
         mallopt(poison, 0)
 
 
+def test_each_core_has_room_of_its_own_in_the_bytes_that_are_told(of_p_type, monkeypatch):
+    told, work = {}, max(loop.work for loop in of_p_type._loops)
+    for cores in (1, 4):
+        for module in (run, code):
+            monkeypatch.setattr(module, "cores", lambda cores=cores: cores)
+        told[cores] = of_p_type.bytes_of(machines=1)
+        assert np.prod(code.room(work)) == pytest.approx(cores * work, abs=cores * 2 * code.ALIGNED)
+    assert told[4] - told[1] == 3 * work > 0
+
+
 def test_a_machine_that_diverges_touches_no_other(of_p_type):
     common = arguments("p_type")
     calm = jax.tree.leaves(of_p_type(common, GAINS))
