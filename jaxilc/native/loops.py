@@ -215,7 +215,7 @@ class Memories(NamedTuple):
             others = {x for _, other in later if other is not way for x in other.ins}
             alone = {x: same for x, same in forms.items() if same.isdisjoint(others)}
             tape = {i: x for x, same in alone.items() for i, y in enumerate(way.ins) if y in same}
-            if tape and way.length == loop.length and way.params["reverse"]:
+            if tape and way.params["reverse"]:
                 kept = set().union(*(alone[x] for x in tape.values()))
                 return cls(there, back, tape, {step for step in shaping if step.outs[0] in kept})
         return None

@@ -526,6 +526,23 @@ def test_slopes_in_blocks_are_those_of_all_trials_at_once(at_once, count):
         np.testing.assert_array_equal(x, y)
 
 
+def test_trials_that_read_those_of_another_loop_in_their_order_are_no_way_back():
+    """They are run where they are, and not in blocks from the last one on."""
+
+    def learning(first, gain):
+        def trial(u, e):
+            y = lax.scan(lambda x, k: (0.5 * x + gain * k, x), 0.0, u)[1]
+            return u + 0.3 * (jnp.cos(e) - jnp.roll(y, -1)), u
+
+        _, inputs = lax.scan(trial, first, jnp.arange(9.0))
+        return lax.scan(lambda u, before: trial(0.5 * u + before, u[0]), first, inputs)
+
+    program = Compiled(learning, FIRST, 1.0, blocks=3)
+    assert program.memories == ""
+    wanted = jax.jit(jax.vmap(learning, (None, 0)))(FIRST, GAINS)
+    assert differs(program(FIRST, GAINS), wanted) is None
+
+
 def test_memories_that_the_ram_cannot_hold_are_in_blocks_and_it_is_told(monkeypatch, caplog):
     caplog.set_level("INFO", "jaxilc")
     monkeypatch.setattr(run, "agreed", lambda key: True)  # other tests compare them with XLA
