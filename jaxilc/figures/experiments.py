@@ -154,7 +154,7 @@ def response_fit_figure(
     fitted, size = identified.simulated[:, 0], np.abs(G)
     above: list[Layer] = []
     below: list[Layer] = []
-    if np.any(std) and measured.averages_known:
+    if measured.std_known:
         half = 1.96 * std / np.sqrt(2)  # std is that of the complex number
         low = np.maximum(size - half, 1e-3 * size)
         above.append(Band(f, low, size + half, colour=PALE, alpha=0.4, name="scatter, 95 %"))

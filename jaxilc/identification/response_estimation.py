@@ -122,7 +122,7 @@ def compare_response_orders(
         error = problem.weights * (measured.response - fit.simulated[:, 0])
         parts, number = np.concatenate([error.real, error.imag]), len(fit.parameters)
         bic = float(_chi_squared(error, measured.averages) + number * np.log(len(parts)))
-        if not (np.any(measured.std) and measured.averages_known):
+        if not measured.std_known:
             bic = information(parts, number, 1e-9)
         rms = float(np.sqrt(np.mean(parts**2)))
         found.append(Order(*structure, number, rms, bic, np.nan, fit))
@@ -206,7 +206,7 @@ def need_lines(measured: MeasuredResponse, parameters: int) -> None:
 def _judged(problem: ResponseProblem, found: Minimum) -> Identified:
     """The result at the minimum, with its intervals, poles and tests of the residual."""
     theta, measured = found.theta, problem.measured
-    known = bool(np.any(measured.std)) and measured.averages_known
+    known = measured.std_known
     residual = problem.residual(theta)[:, 0]
     freedom = max(len(residual) - len(theta), 1)
     n = measured.averages

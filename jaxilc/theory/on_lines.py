@@ -45,6 +45,11 @@ class MeasuredResponse(NamedTuple):
     averages_known: bool = True
     averages: float = np.inf
 
+    @property
+    def std_known(self) -> bool:
+        """Whether std is that of the lines, and not only their course over them."""
+        return bool(np.any(self.std)) and self.averages_known
+
     def scatter(self, sigmas: float) -> np.ndarray:
         """(F,) distance from the true response that a line exceeds with probability exp(-sigmas^2).
 

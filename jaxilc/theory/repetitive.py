@@ -350,7 +350,7 @@ def _on_lines(
     measured: MeasuredResponse, law: Scheme, task: Task, sigmas: float, size_of_W: float
 ) -> FrequencyTest:
     """|Q - L T| with the doubt of each line; nothing is claimed of what lines do not tell."""
-    f, P, std = measured.frequencies, measured.response, measured.std
+    f, P = measured.frequencies, measured.response
     Q, L = law_on(law, task, f)
     C, off = _feedback_of(law, task)(f), measured.scatter(sigmas)
     loop = np.abs(1 + C * P)
@@ -359,7 +359,7 @@ def _on_lines(
         doubt = np.where(surely > 0, off / (loop * np.maximum(surely, 0)), np.inf)
     size = size_of_W * (np.abs(Q - L * P / (1 + C * P)) + np.abs(L) * doubt)
     top, above = int(np.argmax(size)), f[size >= 1]
-    known = measured.averages_known and np.any(std)
+    known = measured.std_known
     said = "lines do not tell it" + ("" if known else ", and their doubt is not known")
     told = premise("loop stable, and nothing between the lines or beyond them", False, said)
     claim = condition(size[top], ON_LINES, premises=[told])
