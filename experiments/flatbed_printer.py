@@ -72,7 +72,7 @@ def vector_fitting(f, G, weights, order, at, sweeps=30):
 
 def plant_at(one, f):
     """P of a grown model at frequencies [Hz]."""
-    return grown_response.columns(one.found.theta, one.parts, f, DT) @ one.found.N
+    return grown_response.columns(one.parts, f, DT) @ one.found.N
 
 
 def feedback_at(num, den, f):
@@ -274,7 +274,7 @@ def main() -> None:
     predictions, loops, told = [], {}, {}
     for order in sorted({8, 12, 14, 18, chosen.parts.order}):
         one = models[order]
-        plant = grown_response.model_of(grown_response.values_of(one.found, one.parts), one.parts)
+        plant = grown_response.model_of(one.parts, one.found.N)
         loops[order] = closed_loop(plant, num, den)
         rows, told[order] = predicted(loops[order], trials, order)
         predictions += rows

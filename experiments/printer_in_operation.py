@@ -213,7 +213,7 @@ def main() -> None:
 
     models = {one.parts.order: one for one in grow_response(measured, dt=DT)[0]}
     plants = {
-        order: grown_response.model_of(grown_response.values_of(one.found, one.parts), one.parts)
+        order: grown_response.model_of(one.parts, one.found.N)
         for order, one in models.items()
         if order in (DESIGN, ACTUAL)
     }

@@ -31,6 +31,7 @@ from .estimation import MOVING, Order, compare_orders, identify, information
 from .not_linear import SIMPLE, Answers, Suspicion, suspicions
 from .problem import (
     SAMPLES_PER_PARAMETER,
+    Parts,
     checked_record,
     need_excitation,
     need_samples,
@@ -68,40 +69,6 @@ EXPLAINED, GROWS = 95.0, 10.0  # fit [%] below which a pole that grows as exp(10
 MOVES = 1.3  # times, with the order, that a pole of chance does
 FORESEEN = 0.25  # of what a simulation leaves, above which no unstable plant explains it
 INTEGRATES = 1.0  # rate times duration, below which a lag may be an integrator
-
-
-class Parts(NamedTuple):
-    """The parts of a model.
-
-    modes: (q, 2) logarithms of frequency [rad/s] and damping
-    lags: (l,) logarithms of the rates [rad/s]
-    integrators: 0, 1 or 2
-    delay: samples of dead time beyond the one of the hold
-    """
-
-    modes: Numbers
-    lags: Numbers
-    integrators: int = 0
-    direct: bool = False
-    delay: int = 0
-
-    @property
-    def order(self) -> int:
-        return 2 * len(self.modes) + len(self.lags) + self.integrators
-
-    @property
-    def x(self) -> Numbers:
-        """(2 q + l,) what is searched for."""
-        return np.concatenate([self.modes.ravel(), self.lags])
-
-    @property
-    def kind(self) -> tuple[int, int, int, bool, int]:
-        """What is counted: modes, lags, integrators, direct term and delay."""
-        return len(self.modes), len(self.lags), self.integrators, self.direct, self.delay
-
-    def at(self, x: Numbers) -> Parts:
-        q = len(self.modes)
-        return self._replace(modes=x[: 2 * q].reshape(q, 2), lags=x[2 * q :])
 
 
 class Signals(NamedTuple):
@@ -249,7 +216,7 @@ def slopes(signals: Signals, parts: Parts, N: Numbers) -> Numbers:
     """
     X, dens = columns(signals, parts)
     n_u, T, n = signals.u.shape
-    at, free = 1 + n_u * (parts.direct + parts.integrators), 1 + n_u * (parts.direct + parts.order)
+    at, free = 1 + n_u * (parts.direct + parts.integrators), 1 + n_u * parts.numerators
     J = np.zeros((*signals.y.shape, len(parts.x)))
     for i, den in enumerate(dens):
         width = n_u * (len(den) - 1)
@@ -398,7 +365,7 @@ def larger(signals: Signals, parts: Parts) -> tuple[list[Parts], list[Parts]]:
     y = signals.wanted(parts)
     residual = (y - X @ np.linalg.lstsq(X, y)[0])[some]
     Q = np.linalg.qr(X[some])[0]
-    none = Parts(np.zeros((0, 2)), np.zeros(0), 0, False, parts.delay)
+    none = Parts(delay=parts.delay)
     rates = np.log(np.geomspace(1 / signals.duration, np.pi / signals.dt, GRID))
     lags = [none._replace(lags=np.array([w])) for w in rates]
     modes = [none._replace(modes=np.array([[w, np.log(z)]])) for w in rates for z in DAMPINGS]
@@ -409,13 +376,7 @@ def larger(signals: Signals, parts: Parts) -> tuple[list[Parts], list[Parts]]:
             new = columns(signals, one)[0][some, 1:]
             new = np.linalg.qr(new - Q @ (Q.T @ new))[0]
             gains.append(np.sum((new.T @ residual) ** 2))
-        return [
-            parts._replace(
-                modes=np.concatenate([parts.modes, tried[i].modes]),
-                lags=np.concatenate([parts.lags, tried[i].lags]),
-            )
-            for i in np.argsort(gains)[::-1][:TRIED]
-        ]
+        return [parts.joined(tried[i]) for i in np.argsort(gains)[::-1][:TRIED]]
 
     return best(lags), best(modes)
 
@@ -426,9 +387,9 @@ def smaller(parts: Parts) -> Iterator[Parts]:
     A damped mode counts as two equal real poles.
     """
     for i in range(len(parts.lags)):
-        yield parts._replace(lags=np.delete(parts.lags, i))
+        yield parts.without_lag(i)
     for i, (w, zeta) in enumerate(parts.modes):
-        rest = parts._replace(modes=np.delete(parts.modes, i, axis=0))
+        rest = parts.without_mode(i)
         yield rest
         apart = np.arccosh(max(np.exp(zeta), 1.0))
         for rate in {w - apart, w + apart} if np.exp(zeta) > 0.5 else ():
@@ -462,16 +423,15 @@ def at_rest(parts: Parts, duration: float) -> Iterator[Parts]:
     if parts.integrators < 2:
         for i, lag in enumerate(parts.lags):
             if lag < slowest:
-                rest = parts._replace(lags=np.delete(parts.lags, i))
-                yield rest._replace(integrators=parts.integrators + 1)
+                yield parts.without_lag(i)._replace(integrators=parts.integrators + 1)
         for i, (w, zeta) in enumerate(np.exp(parts.modes)):
             fast = w * (zeta + np.sqrt(max(zeta**2 - 1, 0.0)))
             if zeta > 1 and np.log(w**2 / fast) < slowest:
-                rest = parts._replace(modes=np.delete(parts.modes, i, axis=0))
-                lags = np.append(rest.lags, np.log(fast))
-                yield rest._replace(lags=lags, integrators=parts.integrators + 1)
+                lags = np.append(parts.lags, np.log(fast))
+                rest = parts.without_mode(i)._replace(lags=lags)
+                yield rest._replace(integrators=parts.integrators + 1)
             elif w * duration < INTEGRATES and not parts.integrators:
-                yield parts._replace(modes=np.delete(parts.modes, i, axis=0), integrators=2)
+                yield parts.without_mode(i)._replace(integrators=2)
     elif parts.integrators:
         lags = np.append(parts.lags, slowest)
         yield parts._replace(lags=lags, integrators=parts.integrators - 1)
@@ -484,7 +444,7 @@ def at_rest(parts: Parts, duration: float) -> Iterator[Parts]:
 def long_enough(signals: Signals, parts: Parts) -> bool:
     """Whether the samples that are fitted are enough for all numbers of these parts."""
     n_u, n_y, order = len(signals.u), signals.y.shape[1], parts.order
-    count = n_y + (order - parts.integrators) + n_u * n_y * (order + parts.direct)
+    count = n_y + (order - parts.integrators) + n_u * n_y * parts.numerators
     samples = signals.samples
     if not signals.from_rest:
         count, samples = count + order * n_y, samples - parts.delay
@@ -869,7 +829,7 @@ def grow(
     improve = partial(improved, delays=delays, highest=highest, each=say)
     best, tried = improve(signals, part, start, order=fixed)
     need_stable(whole, best)
-    kinds: dict[tuple[int, int, int, bool, int], Fitted] = {}
+    kinds: dict[tuple[Value, ...], Fitted] = {}
     for one in (*steps.values(), *tried, best):
         kind = one.parts.kind
         kinds[kind] = min(kinds.get(kind, one), one, key=lambda one: one.bic)
@@ -946,7 +906,11 @@ def _told(whole: Signals, one: Fitted) -> Tried:
     share, n_y = float(np.min(fit_of(*foretold(whole, one.parts)))), whole.y.shape[1]
     unit = float(whole.scale[0]) if n_y == 1 else 1.0
     rms = unit * float(np.sqrt(one.cost / (whole.samples * n_y)))
-    return Tried(one.parts.order, *one.parts.kind, one.parameters, rms, one.bic, share)
+    parts, parameters = one.parts, one.parameters
+    return Tried(
+        parts.order, **parts.counts, delay=parts.delay, parameters=parameters, rms=rms,
+        bic=one.bic, validation_fit=share,
+    )  # fmt: skip
 
 
 def orders_and_delays(

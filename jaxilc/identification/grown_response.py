@@ -31,7 +31,7 @@ from ..pytree.in_short import in_short
 from ..pytree.named_paths import get_at
 from ..pytree.ranges import require
 from ..theory.on_lines import MeasuredResponse
-from .problem import Projected, free_elements, projected, searched, unit_columns
+from .problem import Parts, Projected, free_elements, projected, searched, unit_columns
 from .response_estimation import (
     checked_lines,
     counts_of,
@@ -41,7 +41,15 @@ from .response_estimation import (
     of_lines,
     response_and_slopes,
 )
-from .verdict import CONFIDENCE, WIDE, Estimate, Identified, correlations, inverse_of_normal
+from .verdict import (
+    CONFIDENCE,
+    WIDE,
+    Estimate,
+    Identified,
+    correlations,
+    estimates,
+    inverse_of_normal,
+)
 
 HIGHEST = 20  # order that is looked for
 ALL_UP_TO = 8  # order from which on only the best of these are grown further
@@ -75,40 +83,14 @@ Response: TypeAlias = tuple[tuple[str, ...], Numbers, Numbers]
 # --------------------------------------------------------------------------------------------------
 
 
-class Parts(NamedTuple):
-    """Which parts a model has.
-
-    The values theta of its poles and delay are the logarithms of the rates of the lags, of the
-    frequencies and of the dampings of the modes, and the delay [s].
-    """
-
-    lags: int = 0
-    modes: int = 0
-    integrators: int = 0
-    direct: bool = False
-
-    @property
-    def order(self) -> int:
-        return self.lags + 2 * self.modes + self.integrators
-
-    @property
-    def numerators(self) -> int:
-        return self.integrators + self.lags + 2 * self.modes + self.direct
-
-    @property
-    def numbers(self) -> int:
-        """Values that are fitted, the delay among them."""
-        return self.numerators + self.lags + 2 * self.modes + 1
-
-
-def columns(theta: Numbers, parts: Parts, f: Numbers, dt: float | None) -> Numbers:
+def columns(parts: Parts, f: Numbers, dt: float | None) -> Numbers:
     """(F, numerators) responses of the parts: integrators, lags, modes (a and b by turns), direct.
 
     They are those of `ModalModel`, in units of 1 / (2 pi s) for integrators: in s without dt, else
     of `sampled(dt)`.
     """
-    s, delay = (2j * np.pi * f)[:, None], float(theta[-1])
-    p, w, zeta = np.split(np.exp(theta[:-1]), np.cumsum([parts.lags, parts.modes]))
+    s, delay = (2j * np.pi * f)[:, None], float(parts.delay)
+    p, (w, zeta) = np.exp(parts.lags), np.exp(parts.modes).T
     if dt is None:
         late = np.exp(-s * delay)
         integrators = late * (UNIT / s) ** np.arange(1, 1 + parts.integrators)
@@ -141,26 +123,25 @@ def _held(pole: Numbers, z: Numbers, dt: float, rest: float) -> Numbers:
     return (np.expm1(pole * now) / pole + after / z) / (z - np.exp(pole * dt))
 
 
-def slopes(theta: Numbers, parts: Parts, f: Numbers, dt: float | None, numerators: Numbers):
-    """(F, theta) derivatives of the response by theta, by differences of the part that moves."""
-    found = np.empty((len(f), len(theta)), complex)
-    lags, modes = parts.lags, parts.modes
-    for i in range(len(theta)):
-        if i < lags:
-            own, at, first, of = Parts(lags=1), [i, -1], parts.integrators + i, 0
-        elif i < len(theta) - 1:
-            mode = (i - lags) % modes
-            own, at = Parts(modes=1), [lags + mode, lags + modes + mode, -1]
-            first, of = parts.integrators + lags + 2 * mode, (i - lags) // modes
-        else:
-            own, at, first, of = parts, list(range(len(theta))), 0, i
-        step = STEP if own is not parts else STEP / f[-1]
-        ahead, behind = theta[at], theta[at]
+def slopes(parts: Parts, f: Numbers, dt: float | None, N: Numbers) -> Numbers:
+    """(F, theta) derivatives of the response by theta, by differences of the part that moves.
+
+    N: (numerators,), which do not move
+    """
+    n, q, late = len(parts.lags), len(parts.modes), parts.delay
+    moving = [Parts(lags=lag, delay=late) for lag in parts.lags[:, None]]
+    moving += 2 * [Parts(mode, delay=late) for mode in parts.modes[:, None]]
+    elements = np.repeat([0, 0, 1, n + 2 * q], [n, q, q, 1])
+    first = parts.integrators + np.array([*range(n), *2 * [*range(n, n + 2 * q, 2)]], int)
+    found = np.empty((len(f), len(elements)), complex)
+    for i, (own, of, at) in enumerate(zip([*moving, parts], elements, [*first, 0], strict=True)):
+        of_delay = own is parts
+        step = STEP / f[-1] if of_delay else STEP
+        ahead, behind = theta_of(own), theta_of(own)
         ahead[of] += step
-        behind[of] -= step if own is not parts else min(step, theta[-1])
-        moved = columns(ahead, own, f, dt) - columns(behind, own, f, dt)
-        N = numerators[first : first + own.numerators]
-        found[:, i] = moved @ N / (ahead[of] - behind[of])
+        behind[of] -= min(step, late) if of_delay else step
+        moved = columns(parts_at(own, ahead), f, dt) - columns(parts_at(own, behind), f, dt)
+        found[:, i] = moved @ N[at : at + own.numerators] / (ahead[of] - behind[of])
     return found
 
 
@@ -187,31 +168,49 @@ class Problem(NamedTuple):
         if self.dt is not None:
             rates[1] = min(rates[1], SHARE * np.pi / self.dt)
         late = (0.0, self.longest) if self.delay is None else (self.delay, self.delay)
-        both = [np.repeat(rates[i], parts.lags + parts.modes) for i in (0, 1)]
+        sizes = [len(parts.lags) + len(parts.modes), len(parts.modes)]
         low, high = (
-            np.append(np.log([*both[i], *[DAMPED[i]] * parts.modes]), late[i]) for i in (0, 1)
+            np.append(np.repeat(np.log(ends), sizes), d)
+            for *ends, d in zip(rates, DAMPED, late, strict=True)
         )
         return low, high
 
-    def projected(self, theta: Numbers, parts: Parts) -> Projected:
-        """The best numerators at theta, and what they leave; real parts stand first."""
-        A = stacked(self.weights[:, None] * columns(theta, parts, self.f, self.dt))
-        return projected(theta, A, stacked(self.weights * self.G))
+    def projected(self, parts: Parts) -> Projected:
+        """The best numerators of these parts, and what they leave; real parts stand first."""
+        A = stacked(self.weights[:, None] * columns(parts, self.f, self.dt))
+        return projected(theta_of(parts), A, stacked(self.weights * self.G))
 
     def least_squares(
-        self, theta: Numbers, parts: Parts, steps: int, tolerance: float
-    ) -> tuple[Projected, bool]:
-        """The minimum near theta, and whether it is one, see `searched`."""
+        self, parts: Parts, steps: int, tolerance: float
+    ) -> tuple[Parts, Projected, bool]:
+        """The parts of the minimum near these, what is found there, and whether it is one."""
 
         def of_residual(at: Projected) -> Numbers:
-            by_theta = slopes(at.theta, parts, self.f, self.dt, at.N)
+            by_theta = slopes(parts_at(parts, at.theta), self.f, self.dt, at.N)
             return -stacked(self.weights[:, None] * by_theta)
 
-        return searched(
-            lambda theta: self.projected(theta, parts), of_residual, theta, self.bounds(parts),
-            steps=steps, tolerance=tolerance, eased=EASED,
-            furthest=np.append(np.ones(len(theta) - 1), np.inf),  # of logarithms, not of the delay
+        at, ended = searched(
+            lambda theta: self.projected(parts_at(parts, theta)), of_residual, theta_of(parts),
+            self.bounds(parts), steps=steps, tolerance=tolerance, eased=EASED,
+            furthest=np.append(np.ones(len(parts.x)), np.inf),  # of logarithms, not of the delay
         )  # fmt: skip
+        return parts_at(parts, at.theta), at, ended
+
+
+def numbers(parts: Parts) -> int:
+    """How many values are fitted, the delay among them."""
+    return len(theta_of(parts)) + parts.numerators
+
+
+def theta_of(parts: Parts) -> Numbers:
+    """Logarithms of the rates of the lags, of the frequencies and of the dampings; the delay."""
+    return np.concatenate([parts.lags, *parts.modes.T, [parts.delay]])
+
+
+def parts_at(parts: Parts, theta: Numbers) -> Parts:
+    """The parts with another theta."""
+    lags, modes, late = np.split(theta, [len(parts.lags), len(theta) - 1])
+    return parts._replace(lags=lags, modes=modes.reshape(2, -1).T, delay=late[0])
 
 
 def stacked(values: Numbers) -> Numbers:
@@ -219,28 +218,29 @@ def stacked(values: Numbers) -> Numbers:
     return np.concatenate([values.real, values.imag])
 
 
-def jacobian(theta: Numbers, N: Numbers, parts: Parts, f: Numbers, dt: float | None) -> Numbers:
+def jacobian(parts: Parts, N: Numbers, f: Numbers, dt: float | None) -> Numbers:
     """(F, numbers) derivatives by what `values_of` answers, the delay last."""
-    d_theta = slopes(theta, parts, f, dt, N)
-    d_numerators = columns(theta, parts, f, dt) / _units(parts)
-    return np.hstack([d_theta[:, :-1] / np.exp(theta[:-1]), d_numerators, d_theta[:, -1:]])
+    by_theta, rates = slopes(parts, f, dt, N), np.exp(theta_of(parts)[:-1])
+    by_numerators = columns(parts, f, dt) / _units(parts)
+    return np.hstack([by_theta[:, :-1] / rates, by_numerators, by_theta[:, -1:]])
 
 
 def _units(parts: Parts) -> Numbers:
     """What each numerator is multiplied by, in a ModalModel."""
-    return np.append(
-        UNIT ** np.arange(1.0, 1 + parts.integrators), np.ones(parts.numerators - parts.integrators)
-    )
+    units = np.ones(parts.numerators)
+    units[: parts.integrators] = UNIT ** np.arange(1.0, 1 + parts.integrators)
+    return units
 
 
-def values_of(at: Projected, parts: Parts) -> Numbers:
+def values_of(parts: Parts, N: Numbers) -> Numbers:
     """Rates, frequencies, dampings, numerators and delay as a ModalModel has them."""
-    return np.concatenate([np.exp(at.theta[:-1]), at.N * _units(parts), at.theta[-1:]])
+    theta = theta_of(parts)
+    return np.concatenate([np.exp(theta[:-1]), N * _units(parts), theta[-1:]])
 
 
 def names_of(parts: Parts) -> tuple[str, ...]:
     """The paths of these values in a ModalModel."""
-    n, q = parts.lags, parts.modes
+    n, q = len(parts.lags), len(parts.modes)
     poles = [f"poles[{i}]" for i in range(n)]
     poles += [f"{name}[{i}]" for name in ("frequencies", "dampings") for i in range(q)]
     single = ["integrator", "double_integrator"][: parts.integrators]
@@ -249,34 +249,34 @@ def names_of(parts: Parts) -> tuple[str, ...]:
     return (*poles, *single, *gains, *["direct"] * parts.direct, "delay")
 
 
-def model_of(values: Numbers, parts: Parts) -> ModalModel:
-    """The plant of these values."""
-    n, q, i = parts.lags, parts.modes, parts.integrators
-    p, w, zeta, single, R, modes, direct, delay = np.split(
-        values, np.cumsum([n, q, q, i, n, 2 * q, parts.direct])
-    )
-    once, twice = (float(single[k]) if k < i else None for k in (0, 1))
+def model_of(parts: Parts, N: Numbers) -> ModalModel:
+    """The plant of these parts and numerators."""
+    i, n, q = parts.integrators, len(parts.lags), len(parts.modes)
+    single, R, modes, direct = np.split(N * _units(parts), np.cumsum([i, n, 2 * q]))
+    once, twice = (*map(float, single), None, None)[:2]
     at_once = float(direct[0]) if parts.direct else None
-    of_modes = w, zeta, modes[::2], modes[1::2]
-    return ModalModel(p, R, *of_modes, once, twice, at_once, delay=float(delay[0]))
+    p, (w, zeta), delay = np.exp(parts.lags), np.exp(parts.modes).T, float(parts.delay)
+    return ModalModel(p, R, w, zeta, modes[::2], modes[1::2], once, twice, at_once, delay=delay)
 
 
 def response_of(plant: ModalModel, f: Numbers, dt: float | None) -> Response:
     """Names of the numbers (n) of a plant of one channel, (F,) response, (F, n) its derivatives."""
-    n, q = np.size(plant.poles), np.size(plant.frequencies)
-    parts = Parts(n, q, plant.order - n - 2 * q, plant.direct is not None)
+    modes = np.log(np.column_stack([plant.frequencies, plant.dampings]))
+    integrators = plant.order - np.size(plant.poles) - 2 * len(modes)
+    direct = plant.direct is not None
+    parts = Parts(modes, np.log(plant.poles), integrators, direct, plant.delay)
     names = names_of(parts)
-    values = np.array([*(np.squeeze(get_at(plant, name)) for name in names[:-1]), plant.delay])
-    rates, N = np.split(values[:-1], [n + 2 * q])
-    theta, N = np.append(np.log(rates), plant.delay), N / _units(parts)
-    return names, columns(theta, parts, f, dt) @ N, jacobian(theta, N, parts, f, dt)
+    values = np.array([np.squeeze(get_at(plant, name)) for name in names[len(parts.x) : -1]])
+    N = values / _units(parts)
+    return names, columns(parts, f, dt) @ N, jacobian(parts, N, f, dt)
 
 
 # The growth
 # --------------------------------------------------------------------------------------------------
 
 # Of what is grown; each of them gets one mode after the other.
-BEGUN = (Parts(), Parts(lags=1), Parts(integrators=1), Parts(integrators=2), Parts(direct=True))
+ONE_LAG, ONE_MODE = Parts(lags=np.zeros(1)), Parts(np.zeros((1, 2)))
+BEGUN = (Parts(), ONE_LAG, Parts(integrators=1), Parts(integrators=2), Parts(direct=True))
 
 
 class LineModel(NamedTuple):
@@ -291,6 +291,7 @@ class LineModel(NamedTuple):
         coherence above 0.9 where it is known
     median: of the relative error of these lines
     fit: 100 (1 - |G - P| / |G|) [%] over all lines, not weighted
+    share_of_noise: of the squared errors of a median line, that its standard deviation explains
     """
 
     parts: Parts
@@ -302,6 +303,7 @@ class LineModel(NamedTuple):
     within: tuple[float, float]
     median: float
     fit: float
+    share_of_noise: float
     __repr__ = in_short
 
     @property
@@ -330,7 +332,7 @@ def grow_response(
     """
     require("grow_response", "highest", highest, "[1, 60]", whole=True)
     checked_lines(measured, dt, delay)
-    need_lines(measured, Parts(lags=1).numbers)
+    need_lines(measured, numbers(ONE_LAG))
     growing = _Growing(measured, dt, delay)
     best: dict[int, LineModel] = {}
     paths = [growing.path(begun, highest) for begun in BEGUN]
@@ -366,7 +368,7 @@ class _Growing:
         self.measured, self.f, self.G, self.std = measured, f, G, std
         self.dt, self.delay, self.longest = dt, delay, longest_delay(f, dt)
         self.relative = measured.coherence is not None
-        self.scaled = bool(np.any(std)) and measured.averages_known
+        self.scaled = measured.std_known
         self.size = np.abs(G)
         self.alike = np.sqrt(f / np.exp(np.mean(np.log(f))))
 
@@ -409,97 +411,80 @@ class _Growing:
 
     def path(self, begun: Parts, highest: int) -> Iterator[LineModel]:
         """Models of one mode more each, from what is begun."""
-        parts, theta = begun, np.zeros(begun.lags + 1)
-        noise, P = (0.1, 1.0), self.G
+        parts, noise, P = begun, (0.1, 1.0), self.G
         if parts.numerators:
-            theta = self._first(self.problem(self.variances(P, *noise)), parts)
-            one = self._refined(theta, parts, noise, P)
-            theta, noise, P = one.found.theta, one.noise, self.curve(one)
+            begin = self._first(self.problem(self.variances(P, *noise)), parts)
+            one = self._refined(begin, noise, P)
+            parts, noise, P = one.parts, one.noise, self.curve(one.parts, one.found)
             if parts.order:
                 yield one
-        while parts.order + 2 <= highest:
-            parts = parts._replace(modes=parts.modes + 1)
-            if not enough_lines(self.measured, parts.numbers):
-                return
-            problem = self.problem(self.variances(P, *noise))
-            begin = self._with_one_more(problem, theta, parts)
-            one = self._moved(self._refined(begin, parts, noise, P))
-            theta, noise, P = one.found.theta, one.noise, self.curve(one)
+        while parts.order + 2 <= highest and enough_lines(self.measured, numbers(parts) + 4):
+            begin = self._with_one_more(self.problem(self.variances(P, *noise)), parts)
+            one = self._moved(self._refined(begin, noise, P))
+            parts, noise, P = one.parts, one.noise, self.curve(one.parts, one.found)
             yield one
 
-    def curve(self, one: LineModel) -> Numbers:
+    def curve(self, parts: Parts, found: Projected) -> Numbers:
         """(F,) the response of a model."""
-        return columns(one.found.theta, one.parts, self.f, self.dt) @ one.found.N
+        return columns(parts, self.f, self.dt) @ found.N
 
     def _delays(self) -> Numbers:
         if self.delay is not None:
             return np.array([self.delay])
         return np.linspace(0.0, self.longest, DELAYS)
 
-    def _first(self, problem: Problem, parts: Parts) -> Numbers:
-        """The best theta of a grid, for at most one lag."""
+    def _first(self, problem: Problem, parts: Parts) -> Parts:
+        """The best ones of a grid, for at most one lag."""
         rates = np.log(2 * np.pi * np.geomspace(self.f[0], self.f[-1], 12))
-        lags = [[rate] for rate in rates] if parts.lags else [[]]
-        places = [np.array([*lag, d]) for lag in lags for d in self._delays()]
-        return min((problem.projected(t, parts) for t in places), key=lambda at: at.cost).theta
+        lags = rates[:, None] if len(parts.lags) else np.zeros((1, 0))
+        places = [parts._replace(lags=of, delay=d) for of in lags for d in self._delays()]
+        return min(places, key=lambda place: problem.projected(place).cost)
 
-    def _with_one_more(self, problem: Problem, theta: Numbers, parts: Parts) -> Numbers:
-        """theta of these parts, where a mode more than those of theta explains most."""
-        before = parts._replace(modes=parts.modes - 1)
-        y = stacked(problem.weights * problem.G)
-        if before.numerators:
-            at = problem.projected(theta, before)
-            Q, left, delays = at.Q, at.left, theta[-1:]
-        else:
-            Q, left, delays = np.zeros((len(y), 0)), y, self._delays()
-        low, high = problem.bounds(Parts(modes=1))
-        size = np.abs(left[: len(self.f)] + 1j * left[len(self.f) :])
+    def _with_one_more(self, problem: Problem, parts: Parts) -> Parts:
+        """These parts and one mode more, where it explains most."""
+        at = problem.projected(parts)
+        delays = [parts.delay] if parts.numerators else self._delays()
+        low, high = problem.bounds(ONE_MODE)
+        size = np.abs(at.left[: len(self.f)] + 1j * at.left[len(self.f) :])
         peaks = self.f[np.argsort(-size)[:10]]
         frequencies = np.append(np.linspace(low[0], high[0], GRID), np.log(2 * np.pi * peaks))
         frequencies = np.clip(frequencies, low[0], high[0])
-        w, zeta = (of.ravel() for of in np.meshgrid(frequencies, np.log(DAMPINGS_TRIED)))
-        tried = Parts(modes=len(w))
-        places: list[tuple[float, Numbers]] = []
+        tried = np.reshape(np.meshgrid(frequencies, np.log(DAMPINGS_TRIED)), (2, -1)).T
+        places: list[tuple[float, Parts]] = []
         for late in delays:
-            A = columns(np.concatenate([w, zeta, [late]]), tried, problem.f, self.dt)
+            A = columns(Parts(tried, delay=late), problem.f, self.dt)
             A = stacked(problem.weights[:, None] * A)
-            A = A - Q @ (Q.T @ A)
+            A = A - at.Q @ (at.Q.T @ A)
             A = A / np.maximum(np.linalg.norm(A, axis=0), np.finfo(float).tiny)
-            on, shared = left @ A, np.sum(A[:, ::2] * A[:, 1::2], axis=0)
+            on, shared = at.left @ A, np.sum(A[:, ::2] * A[:, 1::2], axis=0)
             # squared length of what is left, in the plane of both columns
             apart = np.maximum(1 - shared**2, 1e-9)
             explained = on[::2] ** 2 + (on[1::2] - shared * on[::2]) ** 2 / apart
             best = np.argsort(-explained)[: 20 * PLACES]
-            places += [(explained[i], np.array([w[i], zeta[i], late])) for i in best]
+            places += [(explained[i], Parts(tried[[i]], delay=late)) for i in best]
         places.sort(key=lambda place: -place[0])
-        chosen: list[Numbers] = []
+        chosen: list[Parts] = []
         for _, own in places:
-            far = all(abs(own[0] - c[0]) > APART or abs(own[1] - c[1]) > 1 for c in chosen)
-            if far and len(chosen) < PLACES:
+            apart = [np.abs(own.modes[0] - one.modes[0]) for one in chosen]
+            if all(w > APART or zeta > 1 for w, zeta in apart) and len(chosen) < PLACES:
                 chosen.append(own)
-        n, q = before.lags, before.modes
-        begin = [
-            np.concatenate([theta[: n + q], own[:1], theta[n + q : n + 2 * q], own[1:2], own[2:]])
-            for own in chosen
-        ]
-        refined = [problem.least_squares(t, parts, 25, SHORT)[0] for t in begin]
-        return min(refined, key=lambda at: at.cost).theta
+        begin = [parts.joined(own)._replace(delay=own.delay) for own in chosen]
+        refined = [problem.least_squares(one, 25, SHORT) for one in begin]
+        return min(refined, key=lambda found: found[1].cost)[0]
 
-    def _refined(
-        self, theta: Numbers, parts: Parts, noise: tuple[float, float], P: Numbers
-    ) -> LineModel:
-        """The minimum near theta, with the noise that its residual has."""
-        at = self.problem(self.variances(P, *noise)).projected(theta, parts)
+    def _refined(self, parts: Parts, noise: tuple[float, float], P: Numbers) -> LineModel:
+        """The minimum near these parts, with the noise that its residual has."""
+        at = self.problem(self.variances(P, *noise)).projected(parts)
         for _ in range(ROUNDS):
-            P = columns(at.theta, parts, self.f, self.dt) @ at.N
+            P = self.curve(parts, at)
             noise = self.noise(P)
             problem = self.problem(self.variances(P, *noise))
-            at, _ = problem.least_squares(at.theta, parts, 30, SHORT)
+            parts, at, _ = problem.least_squares(parts, 30, SHORT)
         return self._judged(at, parts, *noise)
 
     def _judged(self, at: Projected, parts: Parts, floor: float, scale: float) -> LineModel:
-        P = columns(at.theta, parts, self.f, self.dt) @ at.N
-        error, number = np.abs(self.G - P), parts.numbers - (self.delay is not None)
+        P = self.curve(parts, at)
+        error, number = np.abs(self.G - P), numbers(parts) - (self.delay is not None)
         coherence = self.measured.coherence
         good = np.ones(len(P), bool) if coherence is None else coherence > GOOD
         share = error / np.maximum(self.size, np.finfo(float).tiny)
@@ -507,44 +492,33 @@ class _Growing:
         bic = self.criterion(P, floor, scale, number)
         within = float(np.mean(share <= 0.1)), float(np.mean(share <= 0.3))
         fit = 100 * (1 - float(np.linalg.norm(error) / np.linalg.norm(self.G)))
-        median = float(np.median(share))
-        return LineModel(parts, at, floor, scale, bic, np.nan, within, median, fit)
+        of_noise = self.variances(P, 0.0, scale) / self.variances(P, floor, scale)
+        median, of_noise = (float(np.median(of)) for of in (share, of_noise))
+        return LineModel(parts, at, floor, scale, bic, np.nan, within, median, fit, of_noise)
 
     def _moved(self, one: LineModel) -> LineModel:
         """The model after its least mode was taken out and put in where it explains most."""
-        parts, theta = one.parts, one.found.theta
-        n, q = parts.lags, parts.modes
-        if q < 2:
+        if len(one.parts.modes) < 2:
             return one
-        P = self.curve(one)
+        P = self.curve(one.parts, one.found)
         problem = self.problem(self.variances(P, *one.noise))
-        less = parts._replace(modes=q - 1)
-        without = [np.delete(theta, [n + i, n + q + i]) for i in range(q)]
-        least = min((problem.projected(t, less) for t in without), key=lambda at: at.cost)
-        begin = self._with_one_more(problem, least.theta, parts)
-        other = self._refined(begin, parts, one.noise, P)
+        without = map(one.parts.without_mode, range(len(one.parts.modes)))
+        least = min(without, key=lambda parts: problem.projected(parts).cost)
+        other = self._refined(self._with_one_more(problem, least), one.noise, P)
         return other if other.bic < one.bic else one
 
     def held_out(self, one: LineModel) -> Numbers:
         """(F,) -2 log likelihood of each line, when it was not fitted."""
-        v = self.variances(self.curve(one), *one.noise)
+        v = self.variances(self.curve(one.parts, one.found), *one.noise)
         found = np.empty(len(v))
         for i in range(HELD_OUT):
             out = np.arange(len(v)) % HELD_OUT == i
             problem = self.problem(v, ~out)
-            at, _ = problem.least_squares(one.found.theta, one.parts, 8, SHORT)
-            P = columns(at.theta, one.parts, self.f, self.dt) @ at.N
+            parts, at, _ = problem.least_squares(one.parts, 8, SHORT)
+            P = self.curve(parts, at)
             own = self.variances(P, *one.noise)[out]
             found[out] = 2 * (np.log(own) + np.abs(self.G - P)[out] ** 2 / own)
         return found
-
-
-def share_of_noise(measured: MeasuredResponse, one: LineModel, dt: float | None) -> float:
-    """The share of the squared errors of a median line that its standard deviation explains."""
-    growing = _Growing(measured, dt, None)
-    P = growing.curve(one)
-    whole = growing.variances(P, *one.noise)
-    return float(np.median(growing.variances(P, 0.0, one.scale) / whole))
 
 
 def criterion(measured: MeasuredResponse, one: LineModel, P: Numbers, numbers: int) -> float:
@@ -564,15 +538,14 @@ def identified_response(
     lines have in common: their number counts no more than it says.
     """
     growing = _Growing(measured, dt, delay)
-    parts = one.parts
-    problem = growing.problem(growing.variances(growing.curve(one), *one.noise))
-    at, converged = problem.least_squares(one.found.theta, parts, 200, LONG)
-    values, names = values_of(at, parts), names_of(parts)
+    problem = growing.problem(growing.variances(growing.curve(one.parts, one.found), *one.noise))
+    parts, at, converged = problem.least_squares(one.parts, 200, LONG)
+    values, names = values_of(parts, at.N), names_of(parts)
     fitted = len(names) - (delay is not None)
     names = names[:fitted]
-    J_of = jacobian(at.theta, at.N, parts, growing.f, dt)[:, :fitted]
+    J_of = jacobian(parts, at.N, growing.f, dt)[:, :fitted]
     J = J_of * problem.weights[:, None]
-    P, known = columns(at.theta, parts, growing.f, dt) @ at.N, growing.scaled
+    P, known = growing.curve(parts, at), growing.scaled
     residual = at.left
     error = residual[: len(growing.f)] + 1j * residual[len(growing.f) :]
     freedom = max(2 * len(error) - fitted, 1)
@@ -588,7 +561,7 @@ def identified_response(
     told = np.abs(growing.G - P) / np.sqrt(np.maximum(of_error, np.min(of_error[of_error > 0])))
     told *= np.sqrt(2) if known else 1.0  # each line has two numbers
     std = float(np.sqrt(np.sum(told**2) / (freedom if known else len(error))))
-    fitted = model_of(values, parts), names, values[: len(names)], covariance, width, P
+    fitted = model_of(parts, at.N), names, values[: len(names)], covariance, width, P
     weighted = problem.weights * growing.G
     return of_lines(*fitted, error, weighted, std, known=known, converged=converged, apart=apart)
 
@@ -620,13 +593,9 @@ def _apart(
     variance = least[:n] + scipy.optimize.nnls(scaled, missing)[0] / size
     reached = A @ variance
     variance = variance * float(np.clip(np.quantile(1 / reached, COVERED), 1.0, MOST_SCALED**2))
-    found = {}
-    for name, v in zip(names, variance, strict=True):
-        half, value = float(np.sqrt(3 * v)), values[name]
-        if name.startswith(POSITIVE):
-            half = min(half, CLOSEST * value)
-        found[name] = Estimate(float(value), float(value - half), float(value + half))
-    return found
+    half, found = np.sqrt(3 * variance), np.array([values[name] for name in names])
+    positive = [name.startswith(POSITIVE) for name in names]
+    return estimates(names, found, np.where(positive, np.minimum(half, CLOSEST * found), half))
 
 
 def _in_common(error: Numbers) -> float:

@@ -13,7 +13,7 @@ import scipy
 
 from ..learning.machine import Machine
 from ..plants import Plant, ProcessModel
-from ..pytree.aliases import Numbers
+from ..pytree.aliases import Numbers, Value
 from ..pytree.closest import known_names
 from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
 from ..pytree.ranges import Interval, require, shown
@@ -363,6 +363,67 @@ def free_elements(plant: Plant, free: Sequence[str] | None) -> tuple[str, ...]:
     if not names:
         raise ValueError(f"identify: free = {free!r} leaves nothing to fit")
     return tuple(dict.fromkeys(names))
+
+
+# A sum of parts, whose order is grown
+# --------------------------------------------------------------------------------------------------
+
+
+class Parts(NamedTuple):
+    """The parts of a ModalModel, but for their numerators.
+
+    modes: (q, 2) logarithms of frequency [rad/s] and damping
+    lags: (l,) logarithms of the rates [rad/s]
+    integrators: 0, 1 or 2
+    delay: dead time: of a record in samples beyond the one of the hold, of a response in s
+    """
+
+    modes: Numbers = np.zeros((0, 2))
+    lags: Numbers = np.zeros(0)
+    integrators: int = 0
+    direct: bool = False
+    delay: Value = 0
+
+    @property
+    def order(self) -> int:
+        return 2 * len(self.modes) + len(self.lags) + self.integrators
+
+    @property
+    def numerators(self) -> int:
+        """How many there are of a channel."""
+        return self.order + self.direct
+
+    @property
+    def counts(self) -> dict[str, Value]:
+        """The numbers of lags, modes and integrators, and whether there is a direct term."""
+        of_search = {"lags": len(self.lags), "modes": len(self.modes)}
+        return of_search | {"integrators": self.integrators, "direct": self.direct}
+
+    @property
+    def kind(self) -> tuple[Value, ...]:
+        """What is counted, and the delay."""
+        return *self.counts.values(), self.delay
+
+    @property
+    def x(self) -> Numbers:
+        """(2 q + l,) the logarithms."""
+        return np.concatenate([self.modes.ravel(), self.lags])
+
+    def at(self, x: Numbers) -> Parts:
+        """The parts with other logarithms."""
+        q = len(self.modes)
+        return self._replace(modes=x[: 2 * q].reshape(q, 2), lags=x[2 * q :])
+
+    def joined(self, other: Parts) -> Parts:
+        """These parts with the modes and lags of others."""
+        modes, lags = (np.concatenate([self[i], other[i]]) for i in (0, 1))
+        return self._replace(modes=modes, lags=lags)
+
+    def without_mode(self, i: int) -> Parts:
+        return self._replace(modes=np.delete(self.modes, i, axis=0))
+
+    def without_lag(self, i: int) -> Parts:
+        return self._replace(lags=np.delete(self.lags, i))
 
 
 # Least squares that are linear in some of their unknowns: only the others are searched for

@@ -12,6 +12,7 @@ from .estimation import not_significant
 from .verdict import Identified
 
 if TYPE_CHECKING:
+    from ..theory.on_lines import MeasuredResponse
     from .grown_response import LineModel
 
 NOT_WHITE = (
@@ -66,15 +67,10 @@ def verdict(found: Identified, dt: float | None) -> list[str]:
 
 
 def on_lines(
-    orders: Sequence[LineModel], chosen: LineModel, noise: float, known: bool, *, told: bool = True
+    orders: Sequence[LineModel], chosen: LineModel, measured: MeasuredResponse
 ) -> list[str]:
-    """Why a grown model of a response has its order, how well it fits, and what is left.
-
-    noise: share of the squared errors of a median line that the scatter of the lines explains
-    known: whether that scatter is known, and not only its course over the lines
-    told: whether at least its course is
-    """
-    order = chosen.parts.order
+    """Why a grown model of a response has its order, how well it fits, and what is left."""
+    order, noise, known = chosen.parts.order, chosen.share_of_noise, measured.std_known
     least = min(orders, key=lambda one: one.bic)
     below = [one for one in orders if one.parts.order < order]
     why = f"Order {order} is chosen of {len(orders)}"
@@ -104,7 +100,7 @@ def on_lines(
             f"The scatter of the lines{averages} explains {100 * noise:.3g} % of the squared error "
             "of a median line"
         )
-    if not told:
+    if not np.any(measured.std):
         lines.append(
             f"What is left is {100 * chosen.floor:.3g} % of the response; how much of it is noise "
             "the lines do not tell: a column of their coherence or std would"

@@ -23,12 +23,7 @@ from ..identification.estimation import (
     validated,
     with_noise,
 )
-from ..identification.grown_response import (
-    LineModel,
-    criterion,
-    identified_response,
-    share_of_noise,
-)
+from ..identification.grown_response import LineModel, criterion, identified_response
 from ..identification.not_linear import friction_of, suspicions
 from ..identification.not_linear import sentences as of_suspicions
 from ..identification.record_files import RESAMPLED, STEP_TOLERANCE, RecordFile, read_record_file
@@ -150,9 +145,8 @@ def identify(
         if not found.of_response:
             left = f"{float(found.residual_std[0]):.3g} {fitted.units[1]}".rstrip()
             lines.append(NO_NOISE.format(left=left))
-    sound = {"white": bool(found.white), "converged": bool(found.converged), **fitted.structure}
     return Outcome(
-        command="identify", numbers=numbers_of(found) | sound | suspected | second,
+        command="identify", numbers=numbers_of(found) | fitted.structure | suspected | second,
         verdict=Verdict(tuple(lines), *_next(record, asked, fitted, plant_file, has_law)),
         folder=Path(folder or "out/identify"),
         tables=[*fitted.tables, identification_table(str(record), found.summary()), *of_friction],
@@ -259,11 +253,12 @@ def _on_second(path: Path, asked: Reading, fitted: Fitted) -> tuple[list[str], N
 
 
 def numbers_of(found: Identified) -> Numbers:
-    """The quantities that were identified, with their 95 % intervals."""
-    return {
+    """The quantities that were identified, with their 95 % intervals, and how sound they are."""
+    quantities: Numbers = {
         name: {"value": value, "low": low, "high": high}
         for name, value, low, high in found.summary()
     }
+    return quantities | {"white": bool(found.white), "converged": bool(found.converged)}
 
 
 class Reading(NamedTuple):
@@ -477,15 +472,12 @@ def _grown_response(
             if criterion(measured, chosen, P, best.parameters) <= chosen.bic + AS_GOOD:
                 real: Numbers = {"poles": best.poles, "pairs": best.pairs, "zeros": best.zeros}
                 return best.found, real, [orders_table(compared, best, dt)], ()
-    noise = share_of_noise(measured, chosen, dt)
-    told = bool(np.any(measured.std))
-    known = told and measured.averages_known
     found = identified_response(measured, chosen, dt, delay)
-    structure = {"order": chosen.parts.order, **chosen.parts._asdict()}
+    structure = {"order": chosen.parts.order, **chosen.parts.counts}
     structure |= {"floor": chosen.floor, "median_error": chosen.median}
     structure |= {"within_10_percent": chosen.within[0], "within_30_percent": chosen.within[1]}
-    structure |= {"unweighted_fit": chosen.fit, "share_of_noise": noise}
-    return found, structure, tables, tuple(on_lines(orders, chosen, noise, known, told=told))
+    structure |= {"unweighted_fit": chosen.fit, "share_of_noise": chosen.share_of_noise}
+    return found, structure, tables, tuple(on_lines(orders, chosen, measured))
 
 
 def identification_table(title: str, rows: Sequence[tuple[str, float, float, float]]) -> Table:
@@ -518,7 +510,7 @@ def grown_response_table(orders: Sequence[LineModel], chosen: LineModel) -> Tabl
         of_error = (one.floor, one.median, *one.within, one.fit / 100)
         table.add_row(
             f"{CHOSEN} {one.parts.order}" if one is chosen else str(one.parts.order),
-            *(str(int(count)) for count in one.parts),
+            *(str(int(count)) for count in one.parts.counts.values()),
             *(f"{100 * share:.3g}" for share in of_error),
             f"{one.bic - chosen.bic:+.1f}",
             f"{one.held_out - chosen.held_out:+.3f}",
@@ -649,14 +641,13 @@ def identify_campaign(
         kept = [_write(plant_file, opened, again, source)]
         after, warnings, margins = _after(plant_file, state, opened)
         lines += after
-    sound = {"white": bool(found.white), "converged": bool(found.converged)}
     used = {"trials": list(measured.trials), "closed_loop": measured.closed, "verdict": lines}
     judged = {"kept": again.kept, "before": again.before, "after": again.after, "better": better}
     units = opened.campaign.task.input_unit, unit
     draw = partial(figures.validation_figure, record, found)
     return Outcome(
         command="identify",
-        numbers=numbers_of(found) | sound | used | judged | {"margin": margins},
+        numbers=numbers_of(found) | used | judged | {"margin": margins},
         verdict=Verdict(tuple(lines)),
         folder=Path(folder or "out/identify"),
         tables=tables,

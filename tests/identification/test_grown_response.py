@@ -13,8 +13,8 @@ from jaxilc.identification import (
     identified_response,
     read_frequency_response,
 )
-from jaxilc.identification.grown_response import Parts, response_band
-from jaxilc.identification.problem import Projected
+from jaxilc.identification.grown_response import numbers, parts_at, response_band
+from jaxilc.identification.problem import Parts
 from jaxilc.outcomes import identify
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.theory.on_lines import MeasuredResponse
@@ -32,58 +32,60 @@ def held(plant, f, dt):
     return (C @ np.linalg.solve(z * np.eye(len(A)) - A, B))[:, 0, 0]
 
 
-def drawn(parts, seed, delay=2.3e-3):
-    rng = np.random.default_rng(seed)
-    rates = rng.uniform(20, 2000, parts.lags + parts.modes)
-    theta = np.log([*rates, *rng.uniform(0.02, 1.5, parts.modes)])
-    return Projected(np.append(theta, delay), None, rng.normal(size=parts.numerators), None, 0.0)
+def drawn(lags, modes, integrators=0, direct=False, *, delay=2.3e-3):
+    """Return so many parts with their numerators."""
+    rng = np.random.default_rng(0)
+    rates = rng.uniform(20, 2000, lags + modes)
+    of_modes = np.log(np.column_stack([rates[lags:], rng.uniform(0.02, 1.5, modes)]))
+    parts = Parts(of_modes, np.log(rates[:lags]), integrators, direct, delay)
+    return parts, rng.normal(size=parts.numerators)
 
 
 @pytest.mark.thorough(but=["double-None", "double-0.001", "lags-None"])
 @pytest.mark.parametrize("dt", [None, DT])
 @pytest.mark.parametrize(
-    "parts", [Parts(1, 2), Parts(0, 2, 2, True), Parts(2, 0, 1)], ids=["modes", "double", "lags"]
+    "counts", [(1, 2), (0, 2, 2, True), (2, 0, 1)], ids=["modes", "double", "lags"]
 )
-def test_the_columns_are_those_of_the_plant_and_the_slopes_their_differences(parts, dt):
-    at = drawn(parts, 0)
-    values = grown_response.values_of(at, parts)
-    plant = grown_response.model_of(values, parts)
-    assert (plant.order, len(values)) == (parts.order, parts.numbers)
-    found = grown_response.columns(at.theta, parts, F, dt) @ at.N
+def test_the_columns_are_those_of_the_plant_and_the_slopes_their_differences(counts, dt):
+    parts, N = drawn(*counts)
+    values = grown_response.values_of(parts, N)
+    plant = grown_response.model_of(parts, N)
+    assert (plant.order, len(values)) == (parts.order, numbers(parts))
+    found = grown_response.columns(parts, F, dt) @ N
     if dt is None:
         expected = np.asarray(plant.transfer(2j * np.pi * F))[:, 0, 0]
     else:
         expected = held(plant, F, dt)
     np.testing.assert_allclose(found, expected, rtol=1e-10)
-    J = grown_response.jacobian(at.theta, at.N, parts, F, dt)
+    J = grown_response.jacobian(parts, N, F, dt)
     direction = np.random.default_rng(1).normal(size=len(values)) * 1e-6 * np.abs(values)
-    n = parts.lags + 2 * parts.modes
-    units = values[n:-1] / at.N
+    n = len(parts.x)
+    units = values[n:-1] / N
     moved = []
     for sign in (1, -1):
         new = values + sign * direction
-        theta = np.append(np.log(new[:n]), new[-1])
-        moved.append(grown_response.columns(theta, parts, F, dt) @ (new[n:-1] / units))
+        there = parts_at(parts, np.append(np.log(new[:n]), new[-1]))
+        moved.append(grown_response.columns(there, F, dt) @ (new[n:-1] / units))
     slope = (moved[0] - moved[1]) / 2
     np.testing.assert_allclose(J @ direction, slope, atol=1e-6 * np.max(np.abs(slope)))
 
 
 def flexible(seed, modes, integrators, lines, dt, averages, known):
     """A mass with resonances and a delay, measured with a coherence that falls with its size."""
-    rng, parts = np.random.default_rng(seed), Parts(0, modes, integrators)
+    rng = np.random.default_rng(seed)
     f = np.linspace(3.0, 307.0, lines)
     w = 2 * np.pi * np.geomspace(18, 250, modes) * rng.uniform(0.93, 1.07, modes)
-    theta = np.concatenate([np.log(w), np.log(rng.uniform(0.01, 0.06, modes)), [2.6e-3]])
+    of_modes = np.log(np.column_stack([w, rng.uniform(0.01, 0.06, modes)]))
+    parts = Parts(of_modes, integrators=integrators, delay=2.6e-3)
     gains = rng.uniform(0.4, 1.5, modes) * rng.choice([1, 1, -1], modes) / w**2
     numerators = np.ravel(np.column_stack([gains, np.zeros(modes)]))
     numerators = np.concatenate([np.zeros(integrators - 1), [1 / (2 * np.pi) ** 2], numerators])
-    at = Projected(theta, None, numerators, None, 0.0)
-    P = grown_response.columns(theta, parts, f, dt) @ numerators
+    P = grown_response.columns(parts, f, dt) @ numerators
     c = 1 / (1.02 + 0.3 * np.median(np.abs(P)) / np.abs(P))
     std = np.abs(P) * np.sqrt((1 - c) / (c * averages))
     G = P + std * ([1, 1j] @ rng.normal(size=(2, lines))) / np.sqrt(2)
     own = np.abs(G) * np.sqrt((1 - c) / (c * (averages if known else 1)))
-    return at, parts, P, MeasuredResponse(f, G, own, c, known)
+    return parts, numerators, P, MeasuredResponse(f, G, own, c, known)
 
 
 @pytest.mark.thorough
@@ -91,9 +93,9 @@ def flexible(seed, modes, integrators, lines, dt, averages, known):
     ("seed", "modes", "dt", "known"), [(1, 3, DT, False), (2, 3, None, True)], ids=str
 )
 def test_the_order_of_a_simulated_machine_is_found_and_its_intervals_hold(seed, modes, dt, known):
-    at, parts, P, measured = flexible(seed, modes, 2, 200, dt, 20, known)
+    parts, N, P, measured = flexible(seed, modes, 2, 200, dt, 20, known)
     _, chosen = grow_response(measured, dt=dt, highest=parts.order + 4)
-    assert chosen.parts == parts
+    assert chosen.parts.counts == parts.counts
     if not known:
         assert 1 / chosen.scale == pytest.approx(20, rel=0.3)  # the averages
     found = identified_response(measured, chosen, dt, None)
@@ -101,7 +103,7 @@ def test_the_order_of_a_simulated_machine_is_found_and_its_intervals_hold(seed, 
     relative = np.sqrt(np.mean(np.abs(found.simulated[:, 0] / P - 1) ** 2))
     noise = np.sqrt(np.mean(np.abs(measured.response / P - 1) ** 2))
     assert relative < 0.3 * noise
-    names, values = grown_response.names_of(parts), grown_response.values_of(at, parts)
+    names, values = grown_response.names_of(parts), grown_response.values_of(parts, N)
     true = dict(zip(names, values, strict=True))
     order = np.argsort([found.parameters[f"frequencies[{i}]"].value for i in range(modes)])
     of_modes = ("frequencies", "dampings", "mode_gains", "mode_rates")
@@ -114,9 +116,9 @@ def test_the_order_of_a_simulated_machine_is_found_and_its_intervals_hold(seed, 
 
 def test_machines_drawn_as_if_independent_spread_as_far_as_the_lines_are_from_the_fit():
     """Here a mode is missing in the model, so that most of the error is its own."""
-    at, _, P, measured = flexible(1, 3, 2, 150, DT, 200, True)
+    parts, _, P, measured = flexible(1, 3, 2, 150, DT, 200, True)
     growing = grown_response._Growing(measured, DT, None)
-    one = growing._refined(np.delete(at.theta, [2, 5]), Parts(0, 2, 2), (0.1, 1.0), P)
+    one = growing._refined(parts.without_mode(2), (0.1, 1.0), P)
     found, rng = identified_response(measured, one, DT, None), np.random.default_rng(0)
     names = grown_response.names_of(one.parts)
     low, high = (
@@ -126,9 +128,9 @@ def test_machines_drawn_as_if_independent_spread_as_far_as_the_lines_are_from_th
     low[-1] = high[-1] = found.plant.delay
     far = []
     for values in rng.uniform(low, high, (40, len(low))):
-        theta = np.append(np.log(values[:4]), values[-1])
+        there = parts_at(one.parts, np.append(np.log(values[:4]), values[-1]))
         N = values[4:-1] / grown_response._units(one.parts)
-        P = grown_response.columns(theta, one.parts, measured.frequencies, DT) @ N
+        P = grown_response.columns(there, measured.frequencies, DT) @ N
         far.append(np.abs(P - found.simulated[:, 0]))
     error = np.abs(measured.response - found.simulated[:, 0])
     assert np.mean(error <= np.quantile(far, 0.95, axis=0)) > 0.8
@@ -164,9 +166,9 @@ def test_a_search_moves_a_long_delay_as_far_as_a_short_one():
     for slower in (1.0, 1e6):
         f, G, weights = of_lines[0] / slower, *of_lines[1:]
         problem = grown_response.Problem(f, G, weights, None, 0.1 * slower, None)
-        begin = np.array([np.log(200 / slower), 2e-3 * slower])
-        at, _ = problem.least_squares(begin, Parts(lags=1), 25, 1e-4)
-        np.testing.assert_allclose(at.theta[-1], 3e-3 * slower, rtol=1e-3)
+        begin = Parts(lags=np.log([200 / slower]), delay=2e-3 * slower)
+        found, *_ = problem.least_squares(begin, 25, 1e-4)
+        np.testing.assert_allclose(found.delay, 3e-3 * slower, rtol=1e-3)
 
 
 def test_numbers_that_the_lines_do_not_determine_have_no_interval(monkeypatch):
@@ -178,13 +180,13 @@ def test_numbers_that_the_lines_do_not_determine_have_no_interval(monkeypatch):
     noise = 0.01 * ([1, 1j] @ np.random.default_rng(0).normal(size=(2, len(F))))
     measured = MeasuredResponse(F, P * (1 + noise), np.zeros(len(F)))
     growing = grown_response._Growing(measured, None, 0.0)
-    theta = np.append(np.log([600, 600, 1, 1]), 0.0)
+    equal = Parts(np.log([[600, 1], [600, 1]]), delay=0.0)
 
-    def stays(of, theta, parts, *_):
-        return of.projected(theta, parts), True
+    def stays(of, parts, *_):
+        return parts, of.projected(parts), True
 
     monkeypatch.setattr(grown_response.Problem, "least_squares", stays)
-    one = growing._refined(theta, Parts(modes=2), (0.01, 1.0), P)
+    one = growing._refined(equal, (0.01, 1.0), P)
     found = identified_response(measured, one, None, 0.0)
     assert [found.parameters[f"mode_gains[{i}]"].high for i in (0, 1)] == [np.inf, np.inf]
     assert all(np.isfinite(of.high) for of in found.apart.values())

@@ -9,6 +9,7 @@ import pytest
 from jaxilc.identification import Estimate, Identified
 from jaxilc.identification.sentences import NOT_CONVERGED, NOT_WHITE, described, on_lines, verdict
 from jaxilc.plants import ProcessModel
+from jaxilc.theory.on_lines import MeasuredResponse
 
 FOUND = Identified(
     plant=ProcessModel(2.0, (), (60.0,), (200.0,), (0.3,)),
@@ -78,8 +79,12 @@ def test_what_is_wrong_is_said():
 def test_what_is_left_of_lines_without_scatter_may_be_noise():
     chosen = SimpleNamespace(
         parts=SimpleNamespace(order=3), bic=0.0, held_out=0.0, within=(1.0, 1.0), median=0.008,
-        floor=0.0106, scale=0.0,
+        floor=0.0106, scale=0.0, share_of_noise=0.0,
     )  # fmt: skip
-    left = {told: on_lines([chosen], chosen, 0.0, False, told=told)[-1] for told in (True, False)}
+    one = np.ones(1)
+    left = {
+        told: on_lines([chosen], chosen, MeasuredResponse(one, one, told * one, one, False))[-1]
+        for told in (True, False)
+    }
     assert left[True].startswith("What is left is 1.06 % of the response, and no noise: parts")
     assert "how much of it is noise the lines do not tell" in left[False]

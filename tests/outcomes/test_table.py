@@ -11,7 +11,8 @@ from rich.console import Console
 
 from jaxilc.identification import Grown
 from jaxilc.identification.grown import Tried
-from jaxilc.identification.grown_response import LineModel, Parts
+from jaxilc.identification.grown_response import LineModel
+from jaxilc.identification.problem import Parts, Projected
 from jaxilc.outcomes.certifying import _of_all
 from jaxilc.outcomes.identifying import grown_response_table, grown_table
 from jaxilc.outcomes.outcome import Console as Plain
@@ -122,8 +123,9 @@ def test_printable_keeps_what_can_be_printed():
 
 def test_the_chosen_order_is_marked_in_every_part_of_a_table():
     """At 80 columns the mark was a column of its own, below the orders of which it is one."""
+    at = Projected(*[np.zeros(1)] * 4, 0.0)
     orders = [
-        LineModel(Parts(modes=q), None, 0.1, 1.0, -9.0 - q, 1.0, (0.5, 0.9), 0.1, 94.3)  # ty: ignore[invalid-argument-type]
+        LineModel(Parts(np.zeros((q, 2))), at, 0.1, 1.0, -9.0 - q, 1.0, (0.5, 0.9), 0.1, 94.3, 0.2)
         for q in (1, 2)
     ]
     tried = [Tried(2 * q, 0, q, 2, True, 3, 9, 0.0123, -1e4 * q, 99.9) for q in (1, 2)]
