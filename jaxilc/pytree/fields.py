@@ -177,6 +177,11 @@ def _settled(cls: type, field: dataclasses.Field[Value], value: Value) -> Value:
         value = _plain(value)
         _check_static(owner, field, value, wanted)
         value = as_annotated(value, wanted)
+    elif isinstance(value, jax.core.Tracer) and not fits(value, wanted):
+        raise ValueError(
+            f"{owner}: {field.name} is traced, and its field is no leaf; declare a number that "
+            "jit, vmap or grad may see with leaf() (from jaxilc.pytree)"
+        )
     elif not fits(value, wanted):
         given = (
             ""

@@ -77,6 +77,22 @@ def kind_at(tree: Tree, path: str) -> tuple[str, Value]:
     return kind_of(field), annotations_of(kind).get(field.name, Tree)
 
 
+def need_leaf(said: str, tree: Tree, path: str) -> None:
+    """Raises ValueError for a number in a field that its class does not declare as a leaf.
+
+    Such a field has no range, and its class may refuse a number that is traced.
+    """
+    owner, field = _field_at(tree, path)
+    if field is None or kind_of(field) != "child":
+        return
+    value = get_at(tree, path)
+    if as_numbers(value) is not None:
+        raise ValueError(
+            f"{said}: {path} = {brief(value)} is no leaf of {type(owner).__name__}; declare its "
+            "field with leaf() (from jaxilc.pytree)"
+        )
+
+
 def get_at(tree: Tree, path: str) -> Value:
     """The leaf, element or static field at `path`, such as `"plant.poles[2]"`.
 

@@ -32,6 +32,7 @@ from ..pytree.named_paths import (
     get_at,
     interval_at,
     kind_at,
+    need_leaf,
     owner_of,
     read_at,
     replaced,
@@ -449,6 +450,7 @@ def _canonical(name: str, objects: Mapping[str, Tree]) -> str:
         get_at(objects[owner], path)
         if kind_at(objects[owner], path)[0] != "child":
             return f"{owner}.{path}"
+        need_leaf("grid", objects[owner], path)
     except KeyError:
         pass
     known = [TRIALS, *(f"{of}.{at}" for of, tree in objects.items() for at in settable(tree))]

@@ -17,7 +17,7 @@ from ..learning.machine import Machine
 from ..learning.over_trials import check
 from ..pytree.aliases import Value
 from ..pytree.in_short import in_short
-from ..pytree.named_paths import get_at, interval_at, named_leaves, replaced
+from ..pytree.named_paths import get_at, interval_at, named_leaves, need_leaf, replaced
 from ..pytree.ranges import brief
 from ..schemes import Scheme
 from ..signals.task import Task
@@ -284,6 +284,7 @@ def _elements(
         raise ValueError(
             f"weights: {name} = {value!r} is not a float leaf of this scheme and cannot be tuned"
         )
+    need_leaf("weights", scheme, name)
     allowed: Value = interval_at(scheme, name)  # every float leaf has an interval
     try:
         low, high = (allowed.low, allowed.high) if bounds is None else map(float, bounds)

@@ -233,6 +233,25 @@ def test_a_text_that_is_not_static():
         learn(MACHINE, Mode(), TASK, 3)
 
 
+@pytree
+class Bare(Own):
+    """A test scheme has a number whose field is not declared."""
+
+    share: float = 0.5
+
+
+def test_a_number_that_is_no_leaf():
+    scheme = Bare()
+    grid = partial(SWEEP, schemes={"own": scheme})
+    for attempt, named in (
+        (lambda: Tuning(MACHINE, scheme, TASK, 3, ["share"]), "weights: share = 0.5 is no leaf"),
+        (lambda: grid(grid={"own.share": [0.2, 0.5]}), "grid: share = 0.5 is no leaf of Bare"),
+        (lambda: jax.grad(lambda x: Bare(share=x).gain)(0.5), "Bare: share is traced, and"),
+    ):
+        with pytest.raises(ValueError, match=rf"{named}.* with leaf\(\) \(from jaxilc.pytree\)"):
+            attempt()
+
+
 def test_what_learning_cannot_go_on_from():
     longer = Own().initial_memory(Task(np.zeros(N + 3), dt=DT))
     history = over_trials.History(*[None] * 7)
