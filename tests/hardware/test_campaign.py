@@ -345,6 +345,8 @@ def test_a_dry_run_reports_and_changes_nothing(copied):
     assert code == 0
     assert "trial 11: RMS error" in out
     assert "dry run: nothing was written" in out
+    assert "play" not in out  # next.csv would be that of an earlier trial, or none
+    assert out.splitlines()[-1] == "without --dry-run, the same call writes the input of trial 12"
     call("next", "--state", folder / "new", "--scenario", rig.file, "--dry-run")
     assert sorted(folder.rglob("*")) == before
 
