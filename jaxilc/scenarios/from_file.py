@@ -97,6 +97,8 @@ def load(name: str, **chosen) -> Scenario:
 
     Raises ValueError naming the allowed scenarios or options.
     """
+    if Path(str(name)).suffix in PARSERS:
+        raise ValueError(f"scenario = {brief(name)} is a file; jaxilc.load_scenario takes one")
     need_known(f"scenario = {brief(name)}", name, SCENARIOS)
     allowed = options(name)
     for option, value in chosen.items():

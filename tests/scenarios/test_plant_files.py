@@ -407,6 +407,8 @@ def test_scenarios_by_name_take_options_and_paths_together():
         load_scenario("axis")
     with pytest.raises(FileNotFoundError):
         load_scenario("nowhere.toml")
+    with pytest.raises(ValueError, match=r"'axis.toml' is a file; jaxilc.load_scenario takes one"):
+        scenarios.load("axis.toml")
 
 
 def test_every_class_that_is_named_in_a_refusal_can_be_named_in_a_file():
