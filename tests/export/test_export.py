@@ -23,6 +23,7 @@ from jaxilc.outcomes.exporting import need_single, trials_of_test
 from jaxilc.plants import StateSpace
 from jaxilc.pytree import pytree
 from jaxilc.schemes import (
+    CFDLMFAILC,
     PID,
     BasisFunctions,
     Feedforward,
@@ -399,6 +400,20 @@ def test_the_guard_bounds_what_is_learned_beside_what_the_law_began_with():
         assert [CODES[played.trial(r - e)[1]] for e in (-4.0,) * 3] == ["LEARNED"] * 3
         assert np.array_equal(played.known["schedule.u"].ravel(), np.full(FEW, -5.0))
         assert CODES[played.trial(r - last)[1]] == code
+
+
+@pytest.mark.parametrize(("phi0", "code"), [(0.3, "LEARNED"), (0.05, "TOO_LARGE")])
+def test_the_guard_stops_an_estimate_that_rises_far_above_its_start(phi0, code):
+    """The plant is y[k+1] = 0.7 y[k] + 0.3 u[k], and the law without the guard learns from both."""
+    r = 20 * np.sin(np.linspace(0, np.pi, FEW + 1))[:, None]
+    scheme = CFDLMFAILC(lam=0.3, rho=0.6, eta=0.5, mu=0.5, phi0=phi0)
+    played, codes = law_of(scheme, Task(r, 1e-3), 1e3).played(), []
+    for _ in range(6):
+        y, u = np.zeros(r.shape), played.known["schedule.u"]
+        for k in range(FEW):
+            y[k + 1] = 0.7 * y[k] + 0.3 * u[k]
+        codes.append(CODES[played.trial(y)[1]])
+    assert codes == ["LEARNED", *(code,) * 5]
 
 
 def test_the_guard_counts_the_steps_of_a_law_that_repeats_its_trials():
