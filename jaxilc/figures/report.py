@@ -17,6 +17,7 @@ import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
@@ -118,7 +119,7 @@ def fragment(
 
 
 def _template(name: str) -> Template:
-    """A layout, in which every value is a text that is escaped."""
+    """A layout, in which every value is a text that is escaped; `sentence` escapes its own."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     made = Environment(
@@ -129,6 +130,7 @@ def _template(name: str) -> Template:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
+    made.filters["sentence"] = _sentence
     return made.get_template(f"{name}.html.jinja2")
 
 
@@ -320,6 +322,11 @@ def _plain(cell: object) -> str:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _sentence(text: object) -> str:
+    """The markup of a sentence, in which what stands between backticks is code."""
+    return re.sub("`([^`]+)`", r"<code>\1</code>", escape(str(_text_of(text))))
 
 
 def _text_of(value: object) -> object:

@@ -112,6 +112,14 @@ def test_page_is_well_formed_and_escaped():
     assert settings == {shown: f"{shown}, 1.5"}
 
 
+def test_what_stands_between_backticks_in_a_sentence_is_code():
+    said = Verdict(("`a < b` holds", "one ` alone"))
+    tree = parsed(html_report("t", {}, notes={"Chosen": ["it is the option `plant=exact`"]},
+                              verdict=said))  # fmt: skip
+    assert [code.text for code in tree.iter("code")] == ["a < b", "plant=exact"]
+    assert "".join(tree.itertext()).count("`") == 1
+
+
 def test_rows_hold_the_numbers():
     rows = [
         {"name": "a", "x": 1.25e-7, "n": 3},
@@ -203,8 +211,9 @@ def test_a_run_reported_as_the_command_line_does(tmp_path, monkeypatch):
     assert row[0] == "1"
     assert abs(float(row[1]) / error - 1) < 5e-3
     assert len(list(tree.iter("img"))) == 1
-    lines = [li.text for li in tree.iter("li")]
-    assert lines == [str(tmp_path / "of-print.pdf"), "a line", *chosen.chosen]
+    lines = ["".join(li.itertext()) for li in tree.iter("li")]
+    notes = [line.replace("`", "") for line in chosen.chosen]
+    assert lines == [str(tmp_path / "of-print.pdf"), "a line", *notes]
     settings = {row[0].text: row[1].text for row in tree.find(".//details").iter("tr")}
     poles = [float(text) for text in settings["machine.plant.poles"].split(", ")]
     np.testing.assert_allclose(poles, chosen.machine.plant.poles, rtol=1e-3)
