@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import compress
 from typing import NamedTuple
 
@@ -22,9 +23,10 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike, DTypeLike
 
-from ..learning.machine import Actuator
+from ..learning.machine import Actuator, Machine
 from ..learning.over_trials import check_length
 from ..learning.playback import unit_of
+from ..learning.within_trial import first_start, run_and_measure
 from ..native.program import Program, Step, read, without_dead
 from ..pytree.aliases import Array, Leaf, Tree
 from ..pytree.named_paths import named_leaves
@@ -135,7 +137,7 @@ class Law:
     fields: by name, what it keeps
     functions: begin, sample and end
     limit: (n_u,) largest |u| that it plays
-    guarded: whether the guard is in it; without it, it is that of the scheme alone
+    tracer, known: what makes the functions, and all that is kept before the first trial
     """
 
     scheme: Scheme
@@ -143,7 +145,29 @@ class Law:
     fields: Mapping[str, Field]
     functions: Sequence[Function]
     limit: np.ndarray
-    guarded: bool = True
+    tracer: _Tracer
+    known: Known
+
+    def codes(self, machine: Machine, trials: int, key: Array) -> np.ndarray:
+        """(trials,) the code of each trial that a machine makes with the law, as in `guard.CODES`.
+
+        machine: whose actuator limits the input as the law does
+        """
+        scheme, task, machine = self.scheme, self.task, machine.sampled(self.task.dt)
+        start = first_start(machine, scheme, task, key) if machine.carries else None
+
+        def trial(now: tuple[Known, Tree], j: Array) -> tuple[tuple[Known, Tree], Array]:
+            (known, start), drawn = now, jax.random.fold_in(key, j)
+            memory = scheme.resumed(known.memory)
+            one, _, start = run_and_measure(
+                machine, scheme, task, memory, drawn, j, start, measured=False
+            )
+            known = known._replace(memory=memory)
+            known, code = self.tracer.after(known, machine.shown(one, drawn))
+            return (known, start), code
+
+        first = self.known, start
+        return np.asarray(jax.jit(partial(lax.scan, trial))(first, 1 + jnp.arange(trials))[1])
 
     def played(self, real: DTypeLike = np.float64) -> Played:
         """The law as the interpreter plays it, before its first trial."""
@@ -191,7 +215,7 @@ def law_of(
         _function("sample", tracer.sample, known, {"k": k, "y": y}),
         _function("end", tracer.end, known, {"y": y}),
     ]
-    return Law(ready, task, fields, functions, limit, guarded)
+    return Law(ready, task, fields, functions, limit, tracer, known)
 
 
 def _function(
@@ -273,19 +297,23 @@ class _Tracer(NamedTuple):
         return known._replace(within=within, record=record, seen=remembered), {"u": u}
 
     def end(self, known: Known, y: Array) -> tuple[Known, dict[str, Array]]:
-        scheme, task, seen = self.scheme, self.task, known.seen
+        task, seen = self.task, known.seen
         measured, fine = guard.output(y, known.within.y) if self.guarded else (y, seen.fine)
         rows = jnp.concatenate([known.record.y[:-1], measured[None]])
         record = known.record
         trial = Trial(jnp.asarray(task.reference), rows, record.u, task.dt, record.signals)
+        known, code = self.after(known._replace(seen=seen._replace(fine=seen.fine & fine)), trial)
+        return known, {"code": code}
+
+    def after(self, known: Known, trial: Trial) -> tuple[Known, Array]:
+        """What is known after a trial, and its code."""
+        scheme, task, seen = self.scheme, self.task, known.seen
         learned = scheme.learn(known.memory, trial)
         schedule = scheme.schedule(learned, task)
         new = (learned, schedule, seen.learned + 1)
         now = (known.memory, known.schedule, seen.learned)
         if not self.guarded:
-            known = known._replace(memory=learned, schedule=schedule)
-            return known, {"code": jnp.int32(0)}
-        seen = seen._replace(fine=seen.fine & fine)
+            return known._replace(memory=learned, schedule=schedule), jnp.int32(0)
         code, seen = guard.of_trial(scheme, task, seen, known.schedule, trial, self.limit)
         inside = guard.of_next(scheme, task, seen, learned, schedule, self.limit, self.correction)
         good = code == 0
@@ -299,7 +327,7 @@ class _Tracer(NamedTuple):
         kept = jax.tree.map(lambda now, before: jnp.where(good, now, before), now, known.good)
         seen = seen._replace(learned=count)
         known = known._replace(memory=memory, schedule=schedule, good=kept, seen=seen)
-        return known, {"code": code}
+        return known, code
 
 
 def _rows(rows: Array, k: Array, count: int) -> Array:

@@ -106,7 +106,7 @@ def export(
     except Unknown as error:
         raise ValueError(f"{name} cannot be exported: {error}") from None
     progress("certify")
-    claimed = _claimed(chosen, name, largest, machines, seed)
+    claimed = _claimed(chosen, name, law, machines, seed)
     source = kept["source"]
     claims = as_json(
         {
@@ -256,15 +256,19 @@ def _seen(campaign: Campaign) -> Trials:
     return Trials(min(errors, default=float("inf")), *learned_so_far(live), moved)
 
 
-def _claimed(chosen: Scenario, name: str, limit: Value, machines: int, seed: int) -> Numbers:
-    """What theory claims of the law up to the largest |u| that it plays, and on which machines."""
+def _claimed(chosen: Scenario, name: str, law: Law, machines: int, seed: int) -> Numbers:
+    """What theory claims of the law up to the largest |u| that it plays, and on which machines.
+
+    And which trials of the nominal machine the guard refuses, of which theory does not know.
+    """
+    from ..export.guard import MEANINGS
     from ..learning import Actuator
     from ..runtime.provenance import describe
     from ..theory.certificates import certify_schemes
     from ..uncertainty import draw
 
     actuator = chosen.machine.actuator or Actuator()
-    least = limit if actuator.limit is None else np.minimum(actuator.limit, limit)
+    least = law.limit if actuator.limit is None else np.minimum(actuator.limit, law.limit)
     machine = dataclasses.replace(
         chosen.machine, actuator=dataclasses.replace(actuator, limit=least)
     )
@@ -274,8 +278,16 @@ def _claimed(chosen: Scenario, name: str, limit: Value, machines: int, seed: int
     numbers = certificate_numbers(one)
     sigma = np.asarray(one.certificate.sigma, float)
     said = certificate_sentence(name, chosen.trials, numbers, chosen.shown_scale, chosen.shown_unit)
+    codes = law.codes(machine, chosen.trials, jax.random.key(seed))
+    refused = np.flatnonzero(codes)
+    of_guard = [
+        f"The guard refuses {refused.size} of {codes.size} trials of the nominal machine, trial "
+        f"{refused[0] + 1} as the first ({MEANINGS[codes[refused[0]]]}): what is claimed holds of "
+        "the law without its guard."
+    ] if refused.size else []  # fmt: skip
     return {
-        "verdict": [said],
+        "verdict": [said, *of_guard],
+        "refused_trials": (refused + 1).tolist(),
         "claims": numbers["claims"],
         "premises": numbers.get("premises", []),
         "reasons": reason_lines(name, numbers),

@@ -1,5 +1,7 @@
 """`jaxilc export`: the files of a law, the proof that they belong together, and refusals."""
 
+from pathlib import Path
+
 import pytest
 from cases import follows, lag, p_type
 from command import call, done, flat, mistakes, refused
@@ -104,3 +106,16 @@ def test_nothing_is_claimed_of_a_law_that_needs_more_than_its_limit():
     """Such a law does not learn from the trials that it cannot play, whatever theory says."""
     out = done("export", "axis.toml", "--limit", "0.2", "--machines", "1", "--out", "l")
     assert "ilc, not claimed on 1: actuator.limit is met in trial 2." in flat(out)
+
+
+@pytest.mark.thorough
+def test_trials_that_the_guard_refuses_are_told_beside_what_is_claimed():
+    """The estimate of the law rises from a start far too low: it learns fast only without guard."""
+    law = 'class = "CFDLMFAILC"\nlam = 0.01\nrho = 0.6\neta = 0.5\nmu = 0.5\nphi0 = 0.001'
+    Path("axis.toml").write_text(f"{AXIS}[schemes.adaptive]\n{law}\n")
+    out = done("export", "axis.toml", "--scheme", "adaptive", "--limit", "1e3", "--machines", "1",
+               "--out", "l")  # fmt: skip
+    said = "The guard refuses 19 of 20 trials of the nominal machine, trial 2 as the first"
+    assert said in flat(out)
+    assert said in flat(done("export", "--check", "l"))
+    assert read_json(Path("l/certificate.json"))["refused_trials"] == [*range(2, 21)]

@@ -18,9 +18,10 @@ from jaxilc.export.c import number
 from jaxilc.export.certificate import CERTIFICATE, certificate_of
 from jaxilc.export.guard import CODES, Trials
 from jaxilc.export.steps import dft
+from jaxilc.learning import Machine
 from jaxilc.native.program import Unknown
 from jaxilc.outcomes.exporting import need_single, trials_of_test
-from jaxilc.plants import StateSpace
+from jaxilc.plants import DifferenceEquation, StateSpace
 from jaxilc.pytree import pytree
 from jaxilc.schemes import (
     CFDLMFAILC,
@@ -407,13 +408,16 @@ def test_the_guard_stops_an_estimate_that_rises_far_above_its_start(phi0, code):
     """The plant is y[k+1] = 0.7 y[k] + 0.3 u[k], and the law without the guard learns from both."""
     r = 20 * np.sin(np.linspace(0, np.pi, FEW + 1))[:, None]
     scheme = CFDLMFAILC(lam=0.3, rho=0.6, eta=0.5, mu=0.5, phi0=phi0)
-    played, codes = law_of(scheme, Task(r, 1e-3), 1e3).played(), []
+    law = law_of(scheme, Task(r, 1e-3), 1e3)
+    played, codes = law.played(), []
     for _ in range(6):
         y, u = np.zeros(r.shape), played.known["schedule.u"]
         for k in range(FEW):
             y[k + 1] = 0.7 * y[k] + 0.3 * u[k]
         codes.append(CODES[played.trial(y)[1]])
     assert codes == ["LEARNED", *(code,) * 5]
+    found = law.codes(Machine(DifferenceEquation([0.7], [0.3], 1e-3)), 6, jax.random.key(0))
+    assert [CODES[i] for i in found] == codes, "as `export` finds them"
 
 
 def test_the_guard_counts_the_steps_of_a_law_that_repeats_its_trials():
