@@ -100,7 +100,10 @@ class Table:
                 raise ValueError(
                     f"{self.at(written)} is not a key here; did you mean {key}? It is missing"
                 )
-            raise ValueError(f"{self.at(key)} is missing; present are {listed(self.values)}")
+            allowed = self.known and f"; allowed are {listed(self.known)}"
+            raise ValueError(
+                f"{self.at(key)} is missing; present are {listed(self.values)}{allowed or ''}"
+            )
         return default
 
     def done(self) -> None:
@@ -429,7 +432,7 @@ def called(function: Callable[..., T], table: Table, units: str, **given: Value)
         return array(value, where, units)[()]
 
     arguments, parameters = {}, inspect.signature(function).parameters
-    table.known = [*parameters]
+    table.known = [name for name in parameters if name not in given]
     for name, parameter in parameters.items():
         if name in given:
             continue

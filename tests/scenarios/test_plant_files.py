@@ -457,7 +457,7 @@ REFUSED = {
     "schemes.a.clas is not a key here; did you mean class. It is missing": {
         "schemes": {"a": {"clas": "PID"}}
     },
-    "schemes.a.model is missing; present are class, w_r, w_q": scheme(
+    "schemes.a.model is missing; present are class, w_r, w_q; allowed are model, w_q, w_r": scheme(
         "NormOptimal", w_r=1.0, w_q=2.0
     ),
     "uncertainty.plant.B.distributoin is not a key here; did you mean distribution. It is": {
