@@ -421,7 +421,7 @@ TRAVEL = 0.25  # share of that range over which a channel that stands still ough
 NEARER = 0.5  # share of the error to its own reference that an output has to another's
 MOVES = 0.1  # of the reference, up to which the sign of a motion is not judged
 FASTER = 5.0  # times the largest usual step of an output, which no motion exceeds
-LASTS = 7  # samples, of which a motion makes most steps as large; a lost count is one, a spike two
+LASTS = 7  # samples, of which a motion makes most steps as large, in one direction
 ROUGH = 20.0  # times the median step: in the first trial, a step below it may be noise
 MISPLAYED = 0.1  # share of the input's rms by which the recorded input may differ
 GROWN, GROWN_BEYOND = 10.0, 3.0  # times the best error; the second for one above the band, too
@@ -590,9 +590,11 @@ def jumped(y, r, last_y, accept: tuple[str, ...], unit: str) -> list[Finding]:
     found, unit = [], spaced(unit)
     moved = [np.max(np.abs(np.diff(x, axis=0)), axis=0) for x in (r, last_y) if x is not None]
     own = np.max(moved, axis=0)
-    for i, steps in enumerate(np.abs(np.diff(y, axis=0)).T):
-        around = sliding_window_view(steps, min(LASTS, len(steps)))
-        lasting = float(np.max(np.median(around, axis=1)))
+    for i, moves in enumerate(np.diff(y, axis=0).T):
+        steps, around = np.abs(moves), sliding_window_view(moves, min(LASTS, len(moves)))
+        # a lost count does not change the median, and noise has no mean
+        both = np.abs([np.median(around, axis=1), np.mean(around, axis=1)])
+        lasting = float(np.max(np.min(both, axis=0)))
         usual = max(own[i], min(lasting, np.max(own)))
         grid = float(np.min(steps[steps > 0], initial=np.inf))
         allowed = max(FASTER * usual, 3 * min(grid, usual))

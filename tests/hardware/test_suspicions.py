@@ -129,6 +129,21 @@ def test_an_axis_at_rest_that_another_one_moves_does_not_jump(coupling, count):
             assert found.startswith(f"refusal: y{axis} jumps by")
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_of_one_encoder_is_no_motion_that_lasts(seed):
+    """It was taken for one up to five times the largest step of the other axis."""
+    rng = np.random.default_rng(seed)
+    r = np.stack([R, 0 * R], axis=1)
+    last, y, noisy, burst = LAST * [1, 0] + 1e-3 * rng.standard_normal((4, *r.shape))
+    step = np.max(np.abs(np.diff(LAST, axis=0)))
+    noisy[:, 1] += 0.6 * step * rng.standard_normal(len(R))
+    burst[300:303, 1] += [step, -step, step]
+    assert checks.jumped(y, r, last, (), "mm") == []
+    for wrong in (noisy, burst):
+        (found,) = said(checks.jumped(wrong, r, last, (), "mm"))
+        assert found.startswith("refusal: y1 jumps by")
+
+
 @pytest.mark.parametrize(
     ("changed", "expected"),
     [
