@@ -77,10 +77,11 @@ class Request:
         """Whether the scenario is a plant file."""
         return self.source not in LISTED and Path(self.source).suffix in FILES
 
-    def scenario(self, *, grid: bool = False) -> Scenario:
+    def scenario(self, *, grid: str | Sequence[str] | None = None) -> Scenario:
         """The scenario as it is asked for.
 
-        grid: whether it is run at the points of a grid, which `Sweep` checks, in place of its own
+        grid: axes beside its own of a grid, at whose points it is run, which `Sweep` checks; None
+            where it is run as it is
         Its options are set first, then the parameters, then all else, then the schemes are chosen.
         The metric and the tolerance judge it, and the spread widens its uncertainty.
         Raises ValueError naming what is allowed.
@@ -102,7 +103,7 @@ class Request:
         chosen = here._with_trials(chosen.with_values(rest)).select(here.schemes)
         if here.params is not None:
             warn_of_another(chosen, here.params, settings_of(here.set))
-        if not grid:
+        if grid is None or not (grid or chosen.grid):
             chosen.check()
         chosen = judged(here._widened(chosen), here.metric)
         limit = chosen.tolerance if here.tolerance is None else here.tolerance
@@ -213,7 +214,7 @@ class Request:
                         f"--grid {axis!r} has equal values; allowed are different ones"
                     )
                 at = {x: dataclasses.replace(self, set=(*self.set, f"{name}={x}")) for x in labels}
-                grid[name] = {label: request.scenario() for label, request in at.items()}
+                grid[name] = {label: of.scenario(grid=axes) for label, of in at.items()}
         return grid
 
     def following(self, command: str, *words: str, scheme: str = "", **changed: object) -> str:

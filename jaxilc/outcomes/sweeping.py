@@ -88,7 +88,7 @@ def sweep(
     Raises ValueError naming what is allowed, and FileExistsError for results without `resume`.
     """
     request = Request.of(request)
-    chosen = request.scenario(grid=bool(grid))
+    chosen = request.scenario(grid=grid)
     plan = Sweep(
         chosen.machine, chosen.schemes, chosen.task, chosen.trials, uncertainty=chosen.uncertainty,
         machines=machines, seed=seed, sampling=sampling, keep=tuple(keep),

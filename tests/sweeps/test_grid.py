@@ -321,6 +321,30 @@ def test_a_value_that_an_axis_replaces_is_not_checked(monkeypatch):
         sweep(late, grid="cfdl-mfailc.lead=0,2", run=Mock(side_effect=Killed))
 
 
+def test_a_value_that_an_axis_replaces_is_not_checked_beside_other_axes(tmp_path):
+    """It was refused beside an option of a scenario, and where the axis is that of a plant file."""
+    law, run = "cfdl-mfailc", Mock(side_effect=Killed)  # where it would run
+    late = Request("cao-2019", schemes=(law,), set=(f"{law}.lead=50000",))
+    options, of_lead = "reading=stroke,amplitude", f"{law}.lead=0,2"
+    with pytest.raises(Killed):
+        sweep(late, grid=[options, of_lead], run=run)
+    file = tmp_path / "axis.toml"
+    file.write_text("""
+        trials = 2
+        plant = { kind = "state_space", A = [[0.5]], B = [[0.5]], C = [[1.0]], dt = 0.1 }
+        task.dt = 0.1
+        task.reference = { function = "sinusoid", amplitude = 1.0, frequency = 1.0, duration = 1.0 }
+        schemes = { law = { class = "PIDType", gamma_p = 0.5 } }
+        grid = { "law.lead" = [0, 1] }
+    """)
+    of_file = Request(str(file), set=("law.lead=50000",))
+    with pytest.raises(Killed):
+        sweep(of_file, run=run)
+    for request, grid in ((late, options), (late, ()), (of_file, "law.lead=50000,50001")):
+        with pytest.raises(ValueError, match=r"lead = 5000[01] is outside its"):
+            sweep(request, grid=grid, run=run)
+
+
 def test_leaves_are_checked_at_their_ends_together(monkeypatch):
     """Each alone fits the segments."""
     monkeypatch.setattr(Sweep, "host", None)
