@@ -861,9 +861,11 @@ def _close(
     unit = now.task.unit
     by = for_verdict(opened.recipe, trials_of_step(now.scheme, now.task))
     said = verdict(live, turn, prediction, unit, **by, state=journal.path, out_file=out_file)
-    following = next_command(journal.path, trial, measured, out_file, columns)
     if dry_run:  # a file of that name may hold the input of an earlier trial
-        following = f"without --dry-run, the same call writes the input of trial {trial}"
+        how = "without" if out_file else "with --out NEXT in place of"
+        following = f"{how} --dry-run, the same call writes the input of trial {trial}"
+    else:
+        following = next_command(journal.path, trial, measured, out_file, columns)
     step = "" if dry_run else coming(live, predicted, trial, unit)
     for line in (*([step] if step else []), *said, following):
         say(line)

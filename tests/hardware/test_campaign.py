@@ -347,7 +347,10 @@ def test_a_dry_run_reports_and_changes_nothing(copied):
     assert "dry run: nothing was written" in out
     assert "play" not in out  # next.csv would be that of an earlier trial, or none
     assert out.splitlines()[-1] == "without --dry-run, the same call writes the input of trial 12"
-    call("next", "--state", folder / "new", "--scenario", rig.file, "--dry-run")
+    _, out, _ = call("next", "--state", folder / "new", "--scenario", rig.file, "--dry-run")
+    assert out.splitlines()[-1] == (
+        "with --out NEXT in place of --dry-run, the same call writes the input of trial 1"
+    )
     assert sorted(folder.rglob("*")) == before
 
 
