@@ -188,7 +188,10 @@ class Request:
                 f"{', '.join(map(str, dataset['scheme'].values))}, and none of "
                 f"{', '.join(bare.schemes)}"
             )
-        _need_same(folder, dataset.attrs["configuration"], bare, schemes, settings)
+        # A value that is replaced at every point; of an element, the others have to be the same.
+        replaced = [axis for axis in axes if "." in axis and "[" not in axis]
+        explained = [*settings, *replaced]
+        _need_same(folder, dataset.attrs["configuration"], bare, schemes, explained)
         limit = bare.look["tolerance"]
         found = best_points(dataset.sel(scheme=schemes), limit, metric=bare.judged_by)
         best = min(found, key=lambda of: of.rank)
@@ -301,8 +304,8 @@ def as_text(value: Value) -> str:
     return ",".join(map(str, value)) if isinstance(value, tuple | list) else f"{value}"
 
 
-def _need_same(folder, stored: Numbers, bare: Scenario, schemes, settings) -> None:
-    """Raises ValueError where a sweep had another machine, task or law than `--set` explains."""
+def _need_same(folder, stored: Numbers, bare: Scenario, schemes, explained) -> None:
+    """Raises ValueError where a sweep had another machine, task or law, but at explained paths."""
     from ..pytree.closest import first_of
     from ..pytree.named_paths import owner_of
     from ..runtime.provenance import describe, differences
@@ -313,7 +316,7 @@ def _need_same(folder, stored: Numbers, bare: Scenario, schemes, settings) -> No
     then = {name: stored[name] for name in ("machine", "task")}
     then["schemes"] = {name: stored["schemes"][name] for name in schemes}
     given = []
-    for owner, path in (owner_of(path.partition("[")[0], bare.schemes) for path in settings):
+    for owner, path in (owner_of(path.partition("[")[0], bare.schemes) for path in explained):
         given.append(f"{owner}.{path}" if owner == "machine" else f"schemes.{owner}.{path}")
     wrong = differences(then, now, besides=given)
     if wrong:

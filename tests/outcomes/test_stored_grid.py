@@ -146,6 +146,16 @@ def test_what_is_no_grid_of_this_scenario_is_refused(tmp_path):
         asked(lost, settings=["plant.gain=-1e9"])  # which explains the difference
 
 
+def test_what_an_axis_replaced_is_no_difference(tmp_path):
+    """A grid with another value beneath an axis was one of other settings."""
+    other = [f"{NAME}.lam=0.7", f"{NAME}.rho=0.3"]
+    grid = stored(tmp_path, {f"{NAME}.lam": [0.3, 0.5]}, other)
+    found = asked(grid, settings=other[1:]).schemes[NAME]
+    assert (float(found.lam) in (0.3, 0.5), float(found.rho)) == (True, 0.3)
+    with pytest.raises(ValueError, match=rf"it differs in schemes.{NAME}.rho: 0.3 there"):
+        asked(grid)
+
+
 def test_what_is_killed_or_damaged_is_refused_until_it_is_resumed(tmp_path):
     def kill(name, done, fresh):
         raise Killed
