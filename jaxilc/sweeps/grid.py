@@ -294,8 +294,8 @@ class Grid:
             for place in (dict(zip(names, at, strict=True)) for at in product(*positions)):
                 here = self.at(place, parts)
                 _same_shape(self._told(place), parts.task, here.task)
-                for scheme in here.schemes.values():
-                    _named(check, here.machine, scheme, here.task)
+                for name, scheme in here.schemes.items():
+                    _named(check, here.machine, scheme, here.task, said=f"grid: {name}")
                 _named(allow, here.machine, here.task)
 
     def _told(self, place: Mapping[str, int]) -> str:
@@ -593,9 +593,9 @@ def _same_shape(name: str, task: Task, other: Task) -> None:
             )
 
 
-def _named(function: Callable[..., T], *arguments: Value) -> T:
-    """The result of a function; its ValueError is raised as one of the grid."""
+def _named(function: Callable[..., T], *arguments: Value, said: str = "grid") -> T:
+    """The result of a function; its ValueError is raised as one of the grid, or what is said."""
     try:
         return function(*arguments)
     except ValueError as error:
-        raise ValueError(f"grid: {error}") from None
+        raise ValueError(f"{said}: {error}") from None

@@ -314,6 +314,8 @@ def test_a_value_that_an_axis_replaces_is_not_checked(monkeypatch):
     for grid in ({}, {"learning.lam": [1.0, 2.0]}):
         with pytest.raises(ValueError, match="CFDLMFAILC: lead = 5000 is outside its"):
             dataclasses.replace(plan, grid=grid)
+    with pytest.raises(ValueError, match="grid: other: CFDLMFAILC: lead = 5000"):
+        dataclasses.replace(plan, schemes=late | {"other": late["learning"]})
     with pytest.raises(ValueError, match="scheme = 3 is a int"):
         dataclasses.replace(plan, schemes={"learning": 3})
     late = Request("cao-2019", schemes=("cfdl-mfailc",), set=("cfdl-mfailc.lead=50000",))
