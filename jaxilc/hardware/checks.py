@@ -581,8 +581,9 @@ def _longest_run(s) -> tuple[int, int]:
 def jumped(y, r, last_y, accept: tuple[str, ...], unit: str) -> list[Finding]:
     """A step of an output that the motion cannot make.
 
-    A motion that lasts for samples, as the coupling of another axis makes it, is no step up to the
-    largest steps of all outputs.
+    A motion that lasts for samples, as the coupling of another axis makes it, is no step of an axis
+    whose reference rests, up to the largest steps of all outputs. Where an axis is to move itself,
+    such a motion may be its own in a wrong unit.
 
     y: (rows, n_y) output, as far as it was measured
     last_y: (N+1, n_y) output of the last whole trial, None without one
@@ -595,7 +596,7 @@ def jumped(y, r, last_y, accept: tuple[str, ...], unit: str) -> list[Finding]:
         # a lost count does not change the median, and noise has no mean
         both = np.abs([np.median(around, axis=1), np.mean(around, axis=1)])
         lasting = float(np.max(np.min(both, axis=0)))
-        usual = max(own[i], min(lasting, np.max(own)))
+        usual = own[i] if np.ptp(r[:, i]) else max(own[i], min(lasting, np.max(own)))
         grid = float(np.min(steps[steps > 0], initial=np.inf))
         allowed = max(FASTER * usual, 3 * min(grid, usual))
         if last_y is None:

@@ -129,6 +129,15 @@ def test_an_axis_at_rest_that_another_one_moves_does_not_jump(coupling, count):
             assert found.startswith(f"refusal: y{axis} jumps by")
 
 
+def test_inches_of_a_small_motion_are_no_coupling_of_a_large_one():
+    """They were taken for a motion that another axis makes."""
+    r = np.stack([R, 0.03 * R], axis=1)
+    last = LAST * [1, 0.03]
+    assert checks.jumped(last, r, last, (), "mm") == []
+    (found,) = said(checks.jumped(last * [1, 25.4], r, last, (), "mm"))
+    assert found.startswith("refusal: y1 jumps by")
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_of_one_encoder_is_no_motion_that_lasts(seed):
     """It was taken for one up to five times the largest step of the other axis."""
