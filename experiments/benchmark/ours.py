@@ -273,12 +273,21 @@ def _inside(scheme: Scheme, name: str) -> bool:
     return bool(np.all((allowed.low < value) & (value < allowed.high)))
 
 
+def _may_move(of: Learning, name: str) -> bool:
+    """Whether a tuning may move a leaf alone, as not one of shares that have a sum."""
+    try:
+        Weights.of(of.scheme, (name,)).need_room(of.population.machine, of.scheme, of.task)
+    except ValueError:
+        return False
+    return True
+
+
 def _times(of: Learning, gradients: bool, repeats: int) -> Alone:
     shape, results = (of.population.size, of.trials, of.task.N), {}
     run = of.metrics()
     entries = {OURS: Entry(run.run, *shape, run.built)}
-    names, weights = tunable(of.scheme) if gradients else (), ()
-    if names:
+    weights: tuple[str, ...] = ()
+    if gradients and (names := [x for x in tunable(of.scheme) if _may_move(of, x)]):
         by = Weights.of(of.scheme, names)
         gradient, weights = of.derivatives(by, forward=False), tuple(by.start)
         entries[GRADIENT] = Entry(gradient.run, *shape, gradient.built)

@@ -26,7 +26,9 @@ from timing import OURS
 
 from jaxilc.learning import learn
 from jaxilc.pytree.named_paths import replaced
+from jaxilc.scenarios import load
 from jaxilc.schemes import CFDLMFAILC, PID, PIDType, WithFeedback
+from jaxilc.tuning.objectives import Final
 from jaxilc.tuning.weights import Weights
 
 OPPONENTS, NOTES = contests.opponents()
@@ -343,6 +345,15 @@ def test_a_gradient_is_by_numbers_and_vectors_inside_their_ranges():
     learned = {"learning.gamma_p", "learning.gamma_i", "learning.gamma_d"}  # leak is 0, an end
     assert set(ours.tunable(both)) == learned | {"feedback.kp", "feedback.ki", "feedback.kd"}
     assert set(ours.tunable(CFDLMFAILC())) == {"lam", "eta", "mu", "phi0", "epsilon"}  # rho is 1
+
+
+def test_a_share_of_several_with_a_sum_is_no_weight_of_a_gradient():
+    """The gradients of all schemes of a scenario with such a law could not be timed."""
+    chosen = load("li-2020")
+    scheme = chosen.schemes["higher-order"]
+    of = ours.Learning(ours.drawn(chosen.machine, {}, 1), scheme, chosen.task, 2, Final("rms"), {})
+    assert "learning.alpha" in ours.tunable(scheme)
+    assert [ours._may_move(of, x) for x in ("learning.alpha", "feedback.kp")] == [False, True]
 
 
 @pytest.mark.thorough
