@@ -22,7 +22,7 @@ from jaxilc.learning.machine import Machine
 from jaxilc.learning.over_trials import learn
 from jaxilc.learning.within_trial import bytes_of_trial, run_trial
 from jaxilc.native.program import Unknown
-from jaxilc.native.run import Compiled
+from jaxilc.native.run import Compiled, lanes_of
 from jaxilc.plants import InBlocks
 from jaxilc.pytree.named_paths import replaced
 from jaxilc.pytree.ranges import require
@@ -84,7 +84,8 @@ class Setting(NamedTuple):
     def native(self) -> Callable[[], np.ndarray]:
         """The same metrics by a program compiled for this processor; raises Unknown without one."""
         common, b = (self.machine, self.scheme, self.task), self.b
-        run = Compiled(partial(_metrics, trials=self.trials), common, b[0])
+        fn = partial(_metrics, trials=self.trials)
+        run = Compiled(fn, common, b[0], lanes_of(len(b)))
         return lambda: np.asarray(run(common, b))
 
     def part(self, plants: int) -> Setting:

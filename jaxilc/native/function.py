@@ -172,7 +172,7 @@ class _Function:
             real = jnp.issubdtype(x.dtype, jnp.floating)
             return jnp.stack([x * (1 + NEAR * k) if real else x for k in range(AT_FIRST)])
 
-        native = Native(of_one)
+        native = Native(of_one, many=True)
         common, one = _parts(self._example, moved)
         arguments = common, [near(x) for x in one]
         reason = native.why_not(*arguments)

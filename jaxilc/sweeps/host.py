@@ -102,14 +102,12 @@ class Host:
             return native
         return native.why_not(*self._arguments(name, 0, self.plan.chunk), ahead=True)
 
-    def _native(
-        self, name: str, arguments: tuple[Tree, Tree]
-    ) -> Compiled[Tree, Tree, ByName] | None:
+    def _native(self, name: str) -> Compiled[Tree, Tree, ByName] | None:
         """The program for this processor of a variant; None where XLA computes it."""
         native = self._natives[self.plan.variants[name].trials]
         if isinstance(native, str) or self._why_not(name) is not None:
             return None
-        return native.program(*arguments)
+        return native.program(*self._arguments(name, 0, self.plan.chunk))
 
     def fitting_lanes(self) -> int:
         """The lanes that suit the backend and fit for every scheme, see `runtime.lanes`.
@@ -138,7 +136,7 @@ class Host:
 
     def bytes_of(self, name: str, size: int) -> int:
         """Bytes that `size` members of a variant need; the program is compiled, but not run."""
-        native = self._native(name, self._arguments(name, 0, 1))
+        native = self._native(name)
         if native is not None:
             return native.bytes_of(size)
         return capacity.program_bytes(self._run(name).lower(*self._arguments(name, 0, size)))
@@ -204,7 +202,7 @@ class Host:
     def _started(self, chunk: Chunk) -> Started:
         """The results of `compute` as arrays that need not be computed yet, or what gives them."""
         arguments = self._arguments(chunk.name, chunk.start, self.plan.chunk)
-        native = self._native(chunk.name, arguments)
+        native = self._native(chunk.name)
         return self._run(chunk.name)(*arguments) if native is None else partial(native, *arguments)
 
     def _run(self, name: str) -> jax.stages.Wrapped:

@@ -232,6 +232,21 @@ def test_another_result_than_that_of_xla_is_refused_and_told(monkeypatch, caplog
     assert "XLA computes instead" in caplog.text
 
 
+def test_a_few_machines_are_in_fewer_lanes_unless_more_may_come():
+    """A shorter register divides sooner; each number of machines has the same digits."""
+    full = run.width() // 8
+    assert [run.lanes_of(n) for n in (1, 2, 3, 99, None)] == [2, 2, min(4, full), full, full]
+    native, many = Native(of_lag), Native(of_lag, many=True)
+    found = {}
+    for of in (GAINS[:1], GAINS):
+        assert native.why_not(REFERENCE, of) is None
+        assert native.program(REFERENCE, of).lanes == run.lanes_of(len(of))
+        found[len(of)] = native.program(REFERENCE, of)(REFERENCE, of)
+    jax.tree.map(lambda x, y: np.testing.assert_array_equal(x, y[:1]), *found.values())
+    assert many.why_not(REFERENCE, GAINS[:1]) is None
+    assert many.program(REFERENCE, GAINS[:1]).lanes == full
+
+
 def test_xla_compiles_for_the_next_call_beside_the_comparison(caplog):
     native = Native(of_lag)
     with jax.log_compiles():
