@@ -233,7 +233,7 @@ def test_another_result_than_that_of_xla_is_refused_and_told(monkeypatch, caplog
 
 
 def test_a_few_machines_are_in_fewer_lanes_unless_more_may_come():
-    """A shorter register divides sooner; each number of machines has the same digits."""
+    """A shorter register divides sooner. What XLA makes between the loops is rounded otherwise."""
     full = run.width() // 8
     assert [run.lanes_of(n) for n in (1, 2, 3, 99, None)] == [2, 2, min(4, full), full, full]
     native, many = Native(of_lag), Native(of_lag, many=True)
@@ -245,6 +245,9 @@ def test_a_few_machines_are_in_fewer_lanes_unless_more_may_come():
     jax.tree.map(lambda x, y: np.testing.assert_array_equal(x, y[:1]), *found.values())
     assert many.why_not(REFERENCE, GAINS[:1]) is None
     assert many.program(REFERENCE, GAINS[:1]).lanes == full
+    common = arguments("p_type_switchable")
+    one, several = (Compiled(of_machine, common, 1.0, lanes)(common, GAINS[:2]) for lanes in (2, 8))
+    assert differs(one, several) is None
 
 
 def test_xla_compiles_for_the_next_call_beside_the_comparison(caplog):

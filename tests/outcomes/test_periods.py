@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import known_to
+from cases import first_order, follows, known_to, p_type
 
 from jaxilc import learn, theory
 from jaxilc.outcomes import certify
@@ -56,13 +56,7 @@ def test_repetitive_control_is_certified_from_period_to_period(tmp_path):
 def test_a_number_of_machines_that_cannot_differ_is_told(tmp_path):
     """Nothing was said where the file has no uncertainty; one machine was certified."""
     file = tmp_path / "axis.toml"
-    file.write_text("""
-        trials = 2
-        plant = { kind = "state_space", A = [[0.5]], B = [[0.5]], C = [[1.0]], dt = 0.1 }
-        task.dt = 0.1
-        task.reference = { function = "sinusoid", amplitude = 1.0, frequency = 1.0, duration = 1.0 }
-        schemes = { law = { class = "PIDType", gamma_p = 1.0 } }
-    """)
+    file.write_text(f"trials = 2\n{first_order()}{follows(50.0, 0.02)}{p_type(5.0)}")
     request = Request(str(file))
     (told,) = {*certify(request, machines=10**9).lines} - {*certify(request).lines}
     assert told.startswith("machines = 1000000000 has no effect: without an uncertainty the nom")

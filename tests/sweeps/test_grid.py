@@ -8,6 +8,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 import xarray as xr
+from cases import first_order, follows, p_type
 from fuzz import HOSTILE, fuzz, pick
 from gain_case import Killed
 from sweep_case import PLAN, TASK
@@ -331,14 +332,9 @@ def test_a_value_that_an_axis_replaces_is_not_checked_beside_other_axes(tmp_path
     with pytest.raises(Killed):
         sweep(late, grid=[options, of_lead], run=run)
     file = tmp_path / "axis.toml"
-    file.write_text("""
-        trials = 2
-        plant = { kind = "state_space", A = [[0.5]], B = [[0.5]], C = [[1.0]], dt = 0.1 }
-        task.dt = 0.1
-        task.reference = { function = "sinusoid", amplitude = 1.0, frequency = 1.0, duration = 1.0 }
-        schemes = { law = { class = "PIDType", gamma_p = 0.5 } }
-        grid = { "law.lead" = [0, 1] }
-    """)
+    of_grid = '[grid]\n"law.lead" = [0, 1]\n'
+    law_of_file = p_type(5.0, name="law")
+    file.write_text(f"trials = 2\n{first_order()}{follows(50.0, 0.02)}{law_of_file}{of_grid}")
     of_file = Request(str(file), set=("law.lead=50000",))
     with pytest.raises(Killed):
         sweep(of_file, run=run)
